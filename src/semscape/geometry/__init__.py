@@ -1,0 +1,1 @@
+"""Rotations, cameras, epipolar geometry, triangulation and factorization: plain functions on arrays."""

@@ -1,0 +1,214 @@
+"""One frozen dataclass of options per stage; the only place with defaults.
+
+Angles are in degrees here and in the options files, in radians everywhere else. `read_toml` and `to_toml`
+turn options into text and back; an unknown key is an error that names the nearest valid one.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+from semscape.errors import BadInputError
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """What the user says about the images; it overrides the files. Empty and NaN mean: take it from the files."""
+
+    tilts_deg: tuple[float, ...] = ()
+    pixel_size_um: float = math.nan
+    axis_deg: float = math.nan
+
+
+@dataclass(frozen=True)
+class FeaturesOptions:
+    """Keypoints: detector, contrast threshold after local normalization, and the matching rules."""
+
+    detector: str = "sift"
+    contrast_threshold: float = 0.01
+    normalization_sigma_px: float = 16.0
+    max_keypoints: int = 40_000
+    ratio: float = 0.8
+
+
+@dataclass(frozen=True)
+class RobustOptions:
+    """A contrario RANSAC per pair: largest number of trials, and the least number of inliers to keep a pair."""
+
+    max_trials: int = 2000
+    min_inliers: int = 24
+
+
+@dataclass(frozen=True)
+class SfmOptions:
+    """Motion of the series: priors (1 sigma), Differential Evolution and bundle adjustment.
+
+    `prior_tilt_deg` is the trust in a stage tilt that is known; `invert_relief` mirrors a self-calibrated
+    series whose sign nothing but the shading fixes.
+    """
+
+    prior_tilt_deg: float = 0.1
+    prior_roll_deg: float = 0.5
+    prior_scale: float = 0.002
+    prior_anisotropy: float = 0.00075
+    max_tilt_deg: float = 40.0
+    de_generations: int = 120
+    de_population_per_variable: int = 8
+    max_iterations: int = 100
+    invert_relief: bool = False
+
+
+@dataclass(frozen=True)
+class DenseOptions:
+    """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits."""
+
+    max_pairs: int = 6
+    census_radius_px: int = 3
+    penalty_small: float = 4.0
+    penalty_large: float = 24.0
+    left_right_limit_px: float = 1.0
+    refine_sigma_px: float = 2.5
+    refine_iterations: int = 6
+    mesh_max_vertices: int = 400_000
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """The seed from which every random stream of a run derives."""
+
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Options:
+    """All options of a run.
+
+    Examples
+    --------
+    >>> Options().with_settings(["sfm.prior_tilt_deg=0.2"]).sfm.prior_tilt_deg
+    0.2
+    """
+
+    input: InputOptions = field(default_factory=InputOptions)
+    features: FeaturesOptions = field(default_factory=FeaturesOptions)
+    robust: RobustOptions = field(default_factory=RobustOptions)
+    sfm: SfmOptions = field(default_factory=SfmOptions)
+    dense: DenseOptions = field(default_factory=DenseOptions)
+    run: RunOptions = field(default_factory=RunOptions)
+
+    def with_settings(self, settings: list[str]) -> Options:
+        """Return options with `stage.key=value` texts applied, values in TOML syntax.
+
+        Raises
+        ------
+        BadInputError
+            For a setting without "=", an unknown key or a value of the wrong type.
+        """
+        options = self
+        for setting in settings:
+            name, equals, text = setting.partition("=")
+            if not equals or name.count(".") != 1:
+                raise BadInputError(
+                    f"--set {setting!r} is not of the form stage.key=value, like sfm.prior_tilt_deg=0.1"
+                )
+            stage, key = (part.strip() for part in name.split("."))
+            try:
+                value = tomllib.loads(f"value = {text}")["value"]
+            except tomllib.TOMLDecodeError:
+                value = text.strip()
+            options = options.with_values({stage: {key: value}})
+        return options
+
+    def with_values(self, tables: Mapping[str, Mapping[str, Any]]) -> Options:
+        """Return options with the values of nested tables, as a TOML file holds them, put in.
+
+        Raises
+        ------
+        BadInputError
+            For an unknown stage or key, or a value of the wrong type.
+        """
+        stages: dict[str, Any] = {}
+        for stage, values in tables.items():
+            _require_known(stage, [spec.name for spec in fields(self)], "options have no stage")
+            current = getattr(self, stage)
+            if not isinstance(values, Mapping):
+                raise BadInputError(f"options: [{stage}] must be a table of keys, got {values!r}")
+            known = [spec.name for spec in fields(current)]
+            checked = {}
+            for key, value in values.items():
+                _require_known(key, known, f"options stage [{stage}] has no key")
+                checked[key] = _coerce(f"{stage}.{key}", getattr(current, key), value)
+            stages[stage] = replace(current, **checked)
+        return replace(self, **stages)
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Return nested plain dicts, one per stage."""
+        return asdict(self)
+
+    def to_toml(self) -> str:
+        """Return the options as TOML text that `read_toml` reads back to equal options."""
+        lines: list[str] = []
+        for stage, values in self.to_dict().items():
+            lines.append(f"[{stage}]")
+            lines += [f"{key} = {_toml_value(value)}" for key, value in values.items()]
+            lines.append("")
+        return "\n".join(lines)
+
+
+def read_toml(text: str) -> Options:
+    """Return the options that a TOML text holds, defaults for what it leaves out.
+
+    Raises
+    ------
+    BadInputError
+        For text that is not TOML, an unknown key or a value of the wrong type.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise BadInputError(f"the options file is not valid TOML: {error}") from error
+    return Options().with_values(tables)
+
+
+def _require_known(name: str, known: list[str], complaint: str) -> None:
+    if name not in known:
+        nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
+        raise BadInputError(f"{complaint} {name!r}; the nearest one is {nearest!r} (all: {', '.join(known)})")
+
+
+def _coerce(name: str, default: Any, value: Any) -> Any:
+    if isinstance(default, bool):
+        if isinstance(value, bool):
+            return value
+    elif isinstance(default, tuple):
+        if isinstance(value, list | tuple) and all(_is_number(item) for item in value):
+            return tuple(float(item) for item in value)
+    elif isinstance(default, int):
+        if isinstance(value, int) and not isinstance(value, bool):
+            return value
+    elif isinstance(default, float):
+        if _is_number(value):
+            return float(value)
+    elif isinstance(value, str):
+        return value
+    kind = "list of numbers" if isinstance(default, tuple) else type(default).__name__
+    raise BadInputError(f"option {name} takes a {kind}, got {value!r}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return repr(value)

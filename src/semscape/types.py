@@ -1,0 +1,330 @@
+"""Every value that flows between the stages: frozen dataclasses of read-only arrays.
+
+Sizes: N keypoints, M matches, P points, K observations, V views, H x W pixels. Float64 for geometry,
+float32 for images, NaN for unknown. Images are indexed [row, col]; points are (x, y) in px, x right and
+y down, the centre of the top-left pixel at (0, 0). Lengths are in um; in a series without a pixel size
+they are in px, and `length_unit` says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+LengthUnit = Literal["um", "px"]
+Ambiguity = Literal["none", "reflection", "bas_relief"]
+TiltSource = Literal["metadata", "user", "self-calibrated"]
+FieldSource = Literal["file", "sidecar", "user", "assumed"]
+
+
+def _freeze_arrays(value: object) -> None:
+    """Replace each array of a frozen dataclass by a read-only view of it."""
+    for spec in fields(value):  # type: ignore[arg-type]
+        item = getattr(value, spec.name)
+        if isinstance(item, np.ndarray):
+            view = item.view()
+            view.setflags(write=False)
+            object.__setattr__(value, spec.name, view)
+
+
+@dataclass(frozen=True, eq=False)
+class _Value:
+    def __post_init__(self) -> None:
+        _freeze_arrays(self)
+
+
+@dataclass(frozen=True, eq=False)
+class SemMetadata(_Value):
+    """What a file says about its acquisition; NaN where it says nothing.
+
+    `source` tells for each known field where its value came from; `raw` holds the vendor's own tags.
+    `data_bar_rows` is the height of the strip of text under the image, -1 where the file does not say.
+    """
+
+    pixel_size_um: float = np.nan
+    tilt_rad: float = np.nan
+    tilt_axis_angle_rad: float = np.nan
+    stage_rotation_rad: float = np.nan
+    working_distance_um: float = np.nan
+    accelerating_voltage_kv: float = np.nan
+    magnification: float = np.nan
+    scan_rotation_rad: float = np.nan
+    tilt_correction_rad: float | None = None
+    data_bar_rows: int = -1
+    vendor: str = "unknown"
+    source: Mapping[str, FieldSource] = field(default_factory=dict)
+    raw: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Micrograph(_Value):
+    """One image with its metadata.
+
+    `image` (H, W) float32 holds the values as stored; `mask` (H, W) is False on the data bar and wherever
+    nothing was imaged; `digest` is the SHA-256 of the file ("" for an image that came from memory).
+    """
+
+    name: str
+    image: ImageArray
+    mask: BoolArray
+    metadata: SemMetadata = field(default_factory=SemMetadata)
+    digest: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class TiltSeries(_Value):
+    """Micrographs of one specimen, ordered by tilt where it is known; index i everywhere is this order."""
+
+    views: tuple[Micrograph, ...]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def n_views(self) -> int:
+        """Number of views V."""
+        return len(self.views)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """File name of each view."""
+        return tuple(view.name for view in self.views)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in px, the same for all views."""
+        height, width = self.views[0].image.shape
+        return height, width
+
+    @property
+    def tilt_rad(self) -> FloatArray:
+        """Stage tilts (V,) in rad as told by the files or the user, NaN where unknown."""
+        return np.array([view.metadata.tilt_rad for view in self.views])
+
+    @property
+    def pixel_size_um(self) -> FloatArray:
+        """Pixel size (V,) in um, or 1 for every view where the series has none."""
+        sizes = np.array([view.metadata.pixel_size_um for view in self.views])
+        return sizes if self.length_unit == "um" else np.ones(len(sizes))
+
+    @property
+    def length_unit(self) -> LengthUnit:
+        """Unit of every length derived from this series: um when each view has a pixel size, else px."""
+        return "um" if all(np.isfinite(view.metadata.pixel_size_um) for view in self.views) else "px"
+
+    def select(self, indices: tuple[int, ...], warning: str) -> TiltSeries:
+        """Return the series of the views `indices`, with `warning` saying why the others are left out."""
+        return replace(self, views=tuple(self.views[i] for i in indices), warnings=(*self.warnings, warning))
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints(_Value):
+    """Keypoints of one view: struct of arrays, row n is keypoint n.
+
+    `xy` (N, 2) px; `descriptors` (N, D): uint8 words for binary kinds, else integer-valued float32;
+    `significance` (N,) in [0, 1] or None where no model scored them.
+    """
+
+    xy: FloatArray
+    scale_px: FloatArray
+    orientation_rad: FloatArray
+    response: FloatArray
+    descriptors: NDArray[Any]
+    kind: str
+    significance: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+
+@dataclass(frozen=True, eq=False)
+class Matches(_Value):
+    """Putative matches of a pair i1 < i2: `indices` (M, 2) into the two views' keypoints, `distance` (M,)."""
+
+    pair: tuple[int, int]
+    indices: IntArray
+    distance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+
+@dataclass(frozen=True, eq=False)
+class TwoViewGeometry(_Value):
+    """Epipolar geometry of a pair: x2^T `matrix` x1 = 0 for homogeneous px points.
+
+    `inliers` (M,) bool and `residual_px` (M,) belong to the pair's putative matches; `threshold_px` is the
+    distance to the epipolar line that the a contrario method chose; `log10_nfa` is negative when the model
+    is meaningful.
+    """
+
+    pair: tuple[int, int]
+    kind: str
+    matrix: FloatArray
+    inliers: BoolArray
+    residual_px: FloatArray
+    threshold_px: float
+    log10_nfa: float
+    n_trials: int
+
+
+@dataclass(frozen=True, eq=False)
+class Observations(_Value):
+    """The tracks, flat and sorted by point, then view: observation k sees point `point[k]` in view `view[k]`.
+
+    `view` (K,), `point` (K,), `xy` (K, 2) px.
+    """
+
+    view: IntArray
+    point: IntArray
+    xy: FloatArray
+
+    @property
+    def n_points(self) -> int:
+        """Number of points P."""
+        return int(self.point[-1]) + 1 if len(self.point) else 0
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(_Value):
+    """Single-axis motion of a tilt series, V views.
+
+    View i images the specimen with R_i = Rz(roll_i) R_0 Rot(axis, tilt_i), where the axis lies in the image
+    plane at `axis_angle_rad` (counter-clockwise from +x, seen from the electron source), and
+    x_i = diag(1 + anisotropy_i / 2, 1 - anisotropy_i / 2) scale_i R_i[:2] X + translation_i.
+    """
+
+    axis_angle_rad: float
+    tilt_rad: FloatArray
+    roll_rad: FloatArray
+    scale_px_per_um: FloatArray
+    anisotropy: FloatArray
+    translation_px: FloatArray
+
+    @property
+    def n_views(self) -> int:
+        """Number of views V."""
+        return len(self.tilt_rad)
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction(_Value):
+    """Calibrated motion and sparse points.
+
+    Sigmas are 1-sigma. `covariance` (1 + 6 V, 1 + 6 V) belongs to the parameters axis angle, then per view
+    tilt, roll, relative scale, anisotropy, x and y translation (rad, rad, 1, 1, px, px).
+    `residual_px` (K, 2) and `weights` (K,) belong to the observations; an observation of weight 0 was rejected.
+    `tilt_prior_rad` is the stage's tilt (NaN where unknown), `reference` the view closest to zero tilt.
+    """
+
+    motion: Motion
+    points_um: FloatArray
+    points_sigma_um: FloatArray
+    observations: Observations
+    residual_px: FloatArray
+    weights: FloatArray
+    covariance: FloatArray
+    tilt_sigma_rad: FloatArray
+    tilt_prior_rad: FloatArray
+    tilt_source: TiltSource
+    height_scale_relative_sigma: float
+    ambiguity: Ambiguity
+    relief_confidence: float
+    rms_px: float
+    reference: int
+    length_unit: LengthUnit
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap(_Value):
+    """Heights over a regular grid at zero tilt: world_um = world_from_grid @ (col, row, height_um, 1).
+
+    `height_um` and `uncertainty_um` (1 sigma) are (H, W), NaN = unknown; `n_views` (H, W) counts the views
+    that agree on each height; `texture` (H, W) float32 is the reference micrograph resampled into the grid.
+    """
+
+    height_um: FloatArray
+    uncertainty_um: FloatArray
+    n_views: NDArray[np.uint8]
+    texture: ImageArray
+    pixel_size_um: float
+    world_from_grid: FloatArray
+    length_unit: LengthUnit
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMesh(_Value):
+    """Triangles: `vertices_um` (P, 3), `faces` (F, 3) counter-clockwise from outside, `color` (P, 3) uint8."""
+
+    vertices_um: FloatArray
+    faces: NDArray[np.int64]
+    color: NDArray[np.uint8]
+    length_unit: LengthUnit
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationTruth(_Value):
+    """What a simulated series really is.
+
+    `motion` is the true motion (its tilts are the true ones), `stage_tilt_rad` (V,) what the stage claims,
+    `height_um` (H, W) the surface over the grid `world_from_grid` at zero tilt (highest point under each
+    pixel, NaN where there is none), `normals` (H, W, 3), `visible` (V, H, W) where each view sees that point.
+    """
+
+    motion: Motion
+    stage_tilt_rad: FloatArray
+    pixel_size_um: float
+    height_um: FloatArray
+    normals: FloatArray
+    visible: BoolArray
+    world_from_grid: FloatArray
+    seed: int
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class StageReport(_Value):
+    """One stage of a run: its name, wall seconds and figures (plain JSON values)."""
+
+    name: str
+    seconds: float
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Report(_Value):
+    """What a run did, in plain JSON values: see docs/run-folder.md for each key."""
+
+    stages: tuple[StageReport, ...]
+    options: Mapping[str, Any]
+    seed: int
+    versions: Mapping[str, str]
+    inputs: tuple[Mapping[str, Any], ...]
+    pairs: tuple[Mapping[str, Any], ...]
+    metrics: Mapping[str, Any]
+    warnings: tuple[str, ...]
+    failures: tuple[str, ...]
+    verdict: str
+    peak_memory_mb: float = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Result(_Value):
+    """Everything that `semscape.reconstruct` made, stage by stage."""
+
+    series: TiltSeries
+    keypoints: tuple[Keypoints, ...]
+    matches: tuple[Matches, ...]
+    geometries: tuple[TwoViewGeometry, ...]
+    reconstruction: Reconstruction
+    height_map: HeightMap
+    mesh: SurfaceMesh
+    report: Report
