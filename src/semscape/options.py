@@ -55,11 +55,11 @@ class SfmOptions:
     prior_tilt_deg: float = 0.1
     prior_roll_deg: float = 0.5
     prior_scale: float = 0.002
-    prior_anisotropy: float = 0.00075
+    prior_anisotropy: float = 0.0005
     max_tilt_deg: float = 40.0
     de_generations: int = 120
     de_population_per_variable: int = 8
-    max_iterations: int = 100
+    max_iterations: int = 50
     invert_relief: bool = False
 
 

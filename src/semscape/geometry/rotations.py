@@ -9,15 +9,15 @@ from semscape.types import FloatArray
 CAM_FROM_WORLD_AT_ZERO_TILT: FloatArray = np.diag([1.0, -1.0, -1.0])
 
 
-def axis_rotation(axis_angle_rad: float, tilt_rad: FloatArray | float) -> FloatArray:
+def axis_rotation(axis_angle_rad: FloatArray | float, tilt_rad: FloatArray | float) -> FloatArray:
     """Return the active right-handed rotation about an axis in the world's xy plane.
 
     Parameters
     ----------
-    axis_angle_rad : float
+    axis_angle_rad : (...) float array
         Direction of the axis from +x, counter-clockwise seen from the electron source.
     tilt_rad : (...) float array
-        Tilt about the axis.
+        Tilt about the axis; broadcast against the axis.
 
     Returns
     -------
@@ -34,7 +34,7 @@ def axis_rotation(axis_angle_rad: float, tilt_rad: FloatArray | float) -> FloatA
     tilt = np.asarray(tilt_rad, dtype=np.float64)
     ax, ay = np.cos(axis_angle_rad), np.sin(axis_angle_rad)
     c, s = np.cos(tilt), np.sin(tilt)
-    rotation = np.empty((*tilt.shape, 3, 3))
+    rotation = np.empty((*np.broadcast(ax, tilt).shape, 3, 3))
     rotation[..., 0, 0] = c + ax * ax * (1 - c)
     rotation[..., 0, 1] = ax * ay * (1 - c)
     rotation[..., 0, 2] = ay * s
@@ -61,7 +61,7 @@ def roll_rotation(roll_rad: FloatArray | float) -> FloatArray:
 
 
 def tilted_cam_from_world(
-    axis_angle_rad: float, tilt_rad: FloatArray | float, roll_rad: FloatArray | float
+    axis_angle_rad: FloatArray | float, tilt_rad: FloatArray | float, roll_rad: FloatArray | float
 ) -> FloatArray:
     """Return R = Rz(roll) R_0 Rot(axis, tilt), (..., 3, 3): the rotation from world to camera."""
     rotation: FloatArray = (

@@ -1,0 +1,1 @@
+"""Detect, describe and match keypoints."""

@@ -1,0 +1,1 @@
+"""A contrario RANSAC: inliers without a threshold."""

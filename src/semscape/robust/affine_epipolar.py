@@ -1,0 +1,77 @@
+"""The epipolar geometry of two parallel projections: a x1 + b y1 + c x2 + d y2 + e = 0.
+
+A match is a point w = (x1, y1, x2, y2) of a 4-space, and all matches of a rigid scene lie in one
+hyperplane n.w + e = 0 (Koenderink & van Doorn 1991, doi:10.1364/JOSAA.8.000377; Shapiro et al. 1995,
+doi:10.1007/BF01539553). Four matches fix it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from semscape.types import BoolArray, FloatArray
+
+SAMPLE_SIZE = 4
+
+
+def fit_hyperplane(w: FloatArray) -> FloatArray:
+    """Return the total-least-squares hyperplane (5,) of matches w (M, 4), its normal of unit length."""
+    centre = w.mean(axis=0)
+    deviation = w - centre
+    _, vectors = np.linalg.eigh(deviation.T @ deviation)
+    normal = vectors[:, 0]
+    return np.append(normal, -normal @ centre)
+
+
+def epipolar_distance_px(hyperplane: FloatArray, w: FloatArray) -> FloatArray:
+    """Return the larger of each match's two distances to its epipolar lines (M,), in px."""
+    weaker = min(np.hypot(hyperplane[0], hyperplane[1]), np.hypot(hyperplane[2], hyperplane[3]))
+    distance: FloatArray = np.abs(w @ hyperplane[:4] + hyperplane[4]) / max(weaker, 1e-12)
+    return distance
+
+
+def fundamental_matrix(hyperplane: FloatArray) -> FloatArray:
+    """Return F (3, 3) with x2^T F x1 = 0, of Frobenius norm 1.
+
+    Examples
+    --------
+    >>> F = fundamental_matrix(np.array([0.0, 1.0, 0.0, -1.0, 0.0]))  # rows are epipolar lines: y1 = y2
+    >>> float(np.array([7.0, 3.0, 1.0]) @ F @ np.array([2.0, 3.0, 1.0]))
+    0.0
+    """
+    a, b, c, d, e = hyperplane
+    matrix = np.array([[0.0, 0.0, c], [0.0, 0.0, d], [a, b, e]])
+    normalized: FloatArray = matrix / np.linalg.norm(matrix)
+    return normalized
+
+
+def spans_hyperplane(w: FloatArray, inliers: BoolArray) -> bool:
+    """Tell whether the inliers fix one hyperplane: they must spread in three directions, not lie in a plane."""
+    deviation = w[inliers] - w[inliers].mean(axis=0)
+    values = np.linalg.eigvalsh(deviation.T @ deviation / max(len(deviation), 1))
+    return bool(values[1] > 1e-6 * values[3] and values[1] > 4 * values[0])
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def hyperplane_of_four(w: FloatArray, i0: int, i1: int, i2: int, i3: int, out: FloatArray) -> bool:
+    """Write the hyperplane through four matches to `out` (5,); False when they are degenerate."""
+    a0, a1, a2, a3 = w[i1, 0] - w[i0, 0], w[i1, 1] - w[i0, 1], w[i1, 2] - w[i0, 2], w[i1, 3] - w[i0, 3]
+    b0, b1, b2, b3 = w[i2, 0] - w[i0, 0], w[i2, 1] - w[i0, 1], w[i2, 2] - w[i0, 2], w[i2, 3] - w[i0, 3]
+    c0, c1, c2, c3 = w[i3, 0] - w[i0, 0], w[i3, 1] - w[i0, 1], w[i3, 2] - w[i0, 2], w[i3, 3] - w[i0, 3]
+    # The generalized cross product of three 4-vectors, by cofactors over the 2 x 2 minors of b and c.
+    m01, m02, m03 = b0 * c1 - b1 * c0, b0 * c2 - b2 * c0, b0 * c3 - b3 * c0
+    m12, m13, m23 = b1 * c2 - b2 * c1, b1 * c3 - b3 * c1, b2 * c3 - b3 * c2
+    n0 = a1 * m23 - a2 * m13 + a3 * m12
+    n1 = -(a0 * m23 - a2 * m03 + a3 * m02)
+    n2 = a0 * m13 - a1 * m03 + a3 * m01
+    n3 = -(a0 * m12 - a1 * m02 + a2 * m01)
+    length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2 + n3 * n3)
+    if length < 1e-9:
+        return False
+    n0, n1, n2, n3 = n0 / length, n1 / length, n2 / length, n3 / length
+    if min(n0 * n0 + n1 * n1, n2 * n2 + n3 * n3) < 1e-4:  # lines only in one image: not two views of a scene
+        return False
+    out[0], out[1], out[2], out[3] = n0, n1, n2, n3
+    out[4] = -(n0 * w[i0, 0] + n1 * w[i0, 1] + n2 * w[i0, 2] + n3 * w[i0, 3])
+    return True

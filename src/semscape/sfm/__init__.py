@@ -1,0 +1,1 @@
+"""Motion of the series and sparse points: tracks, Differential Evolution, bundle adjustment."""

@@ -1,0 +1,402 @@
+"""Bundle adjustment of a single-axis tilt series: cameras and points, robust, with covariance.
+
+The points are linear in the scaled orthographic camera, so they are solved for exactly at every step
+(variable projection) and the Gauss-Newton step runs over the cameras alone, through the Schur complement.
+This walks the bas-relief valley in a few steps, where alternating or first-order methods stop early.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from semscape.errors import DegenerateGeometryError
+from semscape.geometry.rotations import CAM_FROM_WORLD_AT_ZERO_TILT, axis_rotation, roll_rotation
+from semscape.sfm.priors import MotionPrior
+from semscape.types import FloatArray, IntArray, Observations
+
+PARAMETERS_PER_VIEW = 6  # tilt, roll, relative scale, anisotropy, x and y translation
+_KERNEL_PARAMETERS = 7  # the axis, which all views share, and those
+_CAUCHY = 2.385
+_TRANSLATION_SIGMA_PX = 100.0
+_RELATIVE_TOLERANCE = 1e-14
+_REWEIGHTING_TOLERANCE = 1e-7
+_STEPS_PER_REWEIGHTING = 3
+_INLIER_WEIGHT = 0.2
+_CELLS = 4
+_LEAST_PER_CELL = 10
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """The bottom of the adjustment.
+
+    `parameters` (1 + 6 V,): axis angle, then per view tilt, roll, relative scale, anisotropy, x and y translation;
+    `covariance` their covariance; `points_um` (P, 3) and `points_covariance_um2` (P, 3, 3);
+    `residual_px` (K, 2); `weights` (K,) the robust weights; `sigma_px` the noise of one coordinate;
+    `cost` data plus prior terms.
+    """
+
+    parameters: FloatArray
+    covariance: FloatArray
+    points_um: FloatArray
+    points_covariance_um2: FloatArray
+    residual_px: FloatArray
+    weights: FloatArray
+    sigma_px: float
+    cost: float
+    n_iterations: int
+
+
+def adjust(
+    parameters: FloatArray,
+    observations: Observations,
+    prior: MotionPrior,
+    *,
+    max_iterations: int,
+    overdispersion: float = 1.0,
+) -> Adjustment:
+    """Refine motion and points to the bottom of the robust, prior-weighted reprojection error.
+
+    Parameters
+    ----------
+    parameters : (1 + 6 V,) float array
+        Start, in the order of `Adjustment.parameters`.
+    observations : Observations
+        Sorted by point, at least two per point.
+    prior : MotionPrior
+        Sigmas in the parameters' units; they also fix the gauge.
+    max_iterations : int
+        Largest number of reweighting rounds.
+    overdispersion : float
+        Variance inflation of the data, from `residual_overdispersion`; 1 for independent keypoints.
+
+    Raises
+    ------
+    DegenerateGeometryError
+        When the normal equations are singular: the tracks do not determine the motion.
+
+    References
+    ----------
+    Triggs et al. 2000, doi:10.1007/3-540-44480-7_21 (bundle adjustment); Golub & Pereyra 1973,
+    doi:10.1137/0710036 (variable projection).
+    """
+    problem = _Problem(observations, prior)
+    weights = np.ones(len(observations.view))
+    iterations = 0
+    for _ in range(max_iterations):
+        residual = problem.residuals(parameters, weights)
+        sigma_px = noise_sigma_px(residual, observations)
+        weights = 1 / (1 + (residual**2).sum(axis=1) / (_CAUCHY * sigma_px) ** 2)
+        information = weights / (sigma_px**2 * overdispersion)
+        start = parameters
+        parameters, _, steps = problem.minimize(parameters, information, max_steps=_STEPS_PER_REWEIGHTING)
+        iterations += steps
+        if np.abs(problem.scaled(parameters - start)).max() < _REWEIGHTING_TOLERANCE:
+            break
+    parameters, cost, steps = problem.minimize(parameters, information, max_steps=200)
+    covariance = np.linalg.inv(problem.normal_equations(parameters, information).hessian)
+    residual = problem.residuals(parameters, weights)
+    points, points_covariance = problem.points_with_covariance(parameters, information, covariance)
+    return Adjustment(
+        parameters, covariance, points, points_covariance, residual, weights, sigma_px, cost, iterations + steps
+    )
+
+
+def noise_sigma_px(residual_px: FloatArray, observations: Observations) -> float:
+    """Estimate the noise of one coordinate from the residuals (K, 2), robustly.
+
+    A track of m views leaves 2 m - 3 of its 2 m residuals free; the rest is absorbed by its point. The median
+    length of a normal 2-vector is 1.1774 sigma.
+    """
+    length = np.bincount(observations.point)[observations.point]
+    free_share = (2.0 * length - 3.0) / (2.0 * length)
+    standardized = np.linalg.norm(residual_px, axis=1) / np.sqrt(free_share)
+    return max(float(np.median(standardized)) / 1.1774, 1e-3)
+
+
+def residual_overdispersion(
+    residual_px: FloatArray, observations: Observations, weights: FloatArray, sigma_px: float, n_views: int
+) -> float:
+    """Estimate by how much neighbouring residuals move together: the variance inflation of smooth errors.
+
+    Scan distortions shift whole regions of an image alike, so that N keypoints tell less about the motion than N
+    independent ones. Over a 4 x 4 grid of each view and coordinate, the mean squared cell sum per keypoint is
+    compared with the variance of independent residuals; 1 means independent.
+    """
+    length = np.bincount(observations.point)[observations.point]
+    standardized = residual_px / np.sqrt((2.0 * length - 3.0) / (2.0 * length))[:, None]
+    inlier = weights > _INLIER_WEIGHT
+    low, high = observations.xy[inlier].min(axis=0), observations.xy[inlier].max(axis=0)
+    cell_xy = np.minimum((observations.xy - low) / (high - low + 1e-9) * _CELLS, _CELLS - 1).astype(np.int64)
+    cell = (observations.view * _CELLS + cell_xy[:, 1]) * _CELLS + cell_xy[:, 0]
+    size = n_views * _CELLS**2
+    count = np.bincount(cell[inlier], minlength=size)
+    filled = count >= _LEAST_PER_CELL
+    if not filled.any():
+        return 1.0
+    ratios = [
+        np.mean(np.bincount(cell[inlier], standardized[inlier, axis], minlength=size)[filled] ** 2 / count[filled])
+        / sigma_px**2
+        for axis in (0, 1)
+    ]
+    return float(max(1.0, np.mean(ratios)))
+
+
+@dataclass(frozen=True)
+class _NormalEquations:
+    hessian: FloatArray
+    gradient: FloatArray
+    cost: float
+
+
+class _Problem:
+    """The tracks and priors, ready for evaluation."""
+
+    def __init__(self, observations: Observations, prior: MotionPrior) -> None:
+        self.view, self.xy = observations.view, np.ascontiguousarray(observations.xy)
+        self.start = np.searchsorted(observations.point, np.arange(observations.n_points + 1))
+        self.n_views = prior.n_views
+        self.scale = prior.scale_px_per_um
+        centre, sigma = prior.centre_and_sigma()
+        per_view = np.arange(self.n_views)[:, None] * PARAMETERS_PER_VIEW + 1 + np.arange(4)
+        self.prior_index = np.concatenate([[0], per_view.ravel()])
+        self.prior_centre = centre
+        self.prior_weight = np.where(np.isfinite(sigma), 1 / sigma, 0.0)
+
+    def scaled(self, step: FloatArray) -> FloatArray:
+        """Return a step with translations in units of 100 px, so that one limit serves all parameters."""
+        units = np.ones(len(step))
+        for offset in (5, 6):
+            units[offset::PARAMETERS_PER_VIEW] = _TRANSLATION_SIGMA_PX
+        return step / units
+
+    def minimize(self, parameters: FloatArray, weights: FloatArray, *, max_steps: int) -> tuple[FloatArray, float, int]:
+        """Run Levenberg-Marquardt to the bottom at fixed weights; return parameters, cost and steps."""
+        damping = 1e-6
+        equations = self.normal_equations(parameters, weights)
+        steps = 0
+        while steps < max_steps:
+            steps += 1
+            diagonal = np.diag(equations.hessian)
+            try:
+                step = np.linalg.solve(equations.hessian + damping * np.diag(diagonal), equations.gradient)
+            except np.linalg.LinAlgError as error:
+                raise DegenerateGeometryError("the tracks do not determine the motion of the series") from error
+            candidate = self.normal_equations(parameters + step, weights)
+            if candidate.cost <= equations.cost:
+                gain = equations.cost - candidate.cost
+                parameters, equations = parameters + step, candidate
+                damping = max(damping / 10, 1e-15)
+                if gain <= _RELATIVE_TOLERANCE * equations.cost and np.abs(self.scaled(step)).max() < 1e-9:
+                    break
+            else:
+                if np.abs(self.scaled(step)).max() < 1e-10:
+                    break
+                damping *= 10
+        return parameters, equations.cost, steps
+
+    def normal_equations(self, parameters: FloatArray, weights: FloatArray) -> _NormalEquations:
+        """Build the camera system after the points are eliminated, priors included."""
+        matrices, derivatives, translations = self._cameras(parameters)
+        blocks = np.zeros((self.n_views, self.n_views, _KERNEL_PARAMETERS, _KERNEL_PARAMETERS))
+        gradients = np.zeros((self.n_views, _KERNEL_PARAMETERS))
+        points = np.empty((len(self.start) - 1, 3))
+        cost = _accumulate(
+            self.start, self.view, self.xy, weights, matrices, derivatives, translations, blocks, gradients, points
+        )
+        size = 1 + PARAMETERS_PER_VIEW * self.n_views
+        expand = np.zeros((self.n_views, _KERNEL_PARAMETERS, size))
+        for view in range(self.n_views):
+            expand[view, 0, 0] = 1
+            first = 1 + PARAMETERS_PER_VIEW * view
+            expand[view, 1:, first : first + PARAMETERS_PER_VIEW] = np.eye(PARAMETERS_PER_VIEW)
+        hessian = np.einsum("apm,abpq,bqn->mn", expand, blocks, expand, optimize=True)
+        gradient = np.einsum("apm,ap->m", expand, gradients)
+        deviation = (parameters[self.prior_index] - self.prior_centre) * self.prior_weight
+        hessian[self.prior_index, self.prior_index] += self.prior_weight**2
+        gradient[self.prior_index] -= deviation * self.prior_weight
+        # A common shift of the world moves no image: this holds the translations without pulling on them.
+        for offset in (5, 6):
+            index = np.arange(self.n_views) * PARAMETERS_PER_VIEW + offset
+            hessian[index, index] += _TRANSLATION_SIGMA_PX**-2
+        return _NormalEquations(hessian, gradient, cost + float(deviation @ deviation))
+
+    def residuals(self, parameters: FloatArray, weights: FloatArray) -> FloatArray:
+        """Return the residuals (K, 2) px, every point at its best for the given weights."""
+        matrices, _, translations = self._cameras(parameters)
+        points, _ = self._triangulate(matrices, translations, weights)
+        point = np.repeat(np.arange(len(points)), np.diff(self.start))
+        residual: FloatArray = (
+            self.xy - translations[self.view] - np.einsum("kij,kj->ki", matrices[self.view], points[point])
+        )
+        return residual
+
+    def points_with_covariance(
+        self, parameters: FloatArray, weights: FloatArray, covariance: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return points (P, 3) and their covariances (P, 3, 3): own noise and that of tilts and rolls."""
+        matrices, _, translations = self._cameras(parameters)
+        points, own = self._triangulate(matrices, translations, weights)
+        total = own.copy()
+        spread, axes = np.linalg.eigh(covariance)
+        strong = np.flatnonzero(spread > 1e-16 * spread[-1])
+        for index in strong:
+            nudge = axes[:, index] * np.sqrt(spread[index])
+            moved_matrices, _, moved_translations = self._cameras(parameters + nudge)
+            moved, _ = self._triangulate(moved_matrices, moved_translations, weights)
+            shift = moved - points
+            shift -= shift.mean(axis=0)  # a common shift is the choice of origin, not an error
+            total += shift[:, :, None] * shift[:, None, :]
+        return points, total
+
+    def _cameras(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return matrices (V, 2, 3), their derivatives (V, 5, 2, 3) and translations (V, 2)."""
+        return camera_jacobians(parameters, self.scale)
+
+    def _triangulate(
+        self, matrices: FloatArray, translations: FloatArray, weights: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        view = self.view
+        normal = np.einsum("k,kai,kaj->kij", weights, matrices[view], matrices[view])
+        right = np.einsum("k,kai,ka->ki", weights, matrices[view], self.xy - translations[view])
+        normal = np.add.reduceat(normal, self.start[:-1], axis=0)
+        right = np.add.reduceat(right, self.start[:-1], axis=0)
+        inverse = np.linalg.inv(normal)
+        return np.einsum("pij,pj->pi", inverse, right), inverse
+
+
+def camera_jacobians(parameters: FloatArray, scale_px_per_um: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return camera matrices (V, 2, 3), d matrix / d (axis, tilt, roll, scale, anisotropy) and translations (V, 2)."""
+    axis = parameters[0]
+    per_view = parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
+    tilt, roll, scale, anisotropy = per_view[:, 0], per_view[:, 1], per_view[:, 2], per_view[:, 3]
+    tilted = CAM_FROM_WORLD_AT_ZERO_TILT @ axis_rotation(axis, tilt)
+    # Rodrigues: dRot/dtilt = [a]x Rot; Rot(axis + d) = Rz(d) Rot Rz(-d), so dRot/daxis = [z]x Rot - Rot [z]x.
+    across = _cross_matrix(np.array([np.cos(axis), np.sin(axis), 0.0]))
+    about_z = _cross_matrix(np.array([0.0, 0.0, 1.0]))
+    rotation = axis_rotation(axis, tilt)
+    tilted_by_tilt = CAM_FROM_WORLD_AT_ZERO_TILT @ (across @ rotation)
+    tilted_by_axis = CAM_FROM_WORLD_AT_ZERO_TILT @ (about_z @ rotation - rotation @ about_z)
+    rolled = roll_rotation(roll)
+    stretch = np.stack([1 + anisotropy / 2, 1 - anisotropy / 2], axis=-1)[:, :, None]
+    size = (scale_px_per_um * (1 + scale))[:, None, None]
+
+    def finish(rotated: FloatArray) -> FloatArray:
+        projected: FloatArray = stretch * size * rotated[:, :2]
+        return projected
+
+    matrices = finish(rolled @ tilted)
+    derivatives = np.stack(
+        [
+            finish(rolled @ tilted_by_axis),
+            finish(rolled @ tilted_by_tilt),
+            finish(about_z @ rolled @ tilted),
+            matrices / (1 + scale)[:, None, None],
+            np.array([0.5, -0.5])[:, None] * size * (rolled @ tilted)[:, :2],
+        ],
+        axis=1,
+    )
+    return matrices, derivatives, per_view[:, 4:6]
+
+
+def _cross_matrix(v: FloatArray) -> FloatArray:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _symmetric_inverse(m: FloatArray) -> FloatArray:
+    inverse = np.empty((3, 3))
+    inverse[0, 0] = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
+    inverse[0, 1] = inverse[1, 0] = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
+    inverse[0, 2] = inverse[2, 0] = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
+    inverse[1, 1] = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
+    inverse[1, 2] = inverse[2, 1] = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
+    inverse[2, 2] = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
+    return inverse / (m[0, 0] * inverse[0, 0] + m[0, 1] * inverse[0, 1] + m[0, 2] * inverse[0, 2])
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _accumulate(
+    start: IntArray,
+    view: IntArray,
+    xy: FloatArray,
+    weights: FloatArray,
+    matrices: FloatArray,
+    derivatives: FloatArray,
+    translations: FloatArray,
+    blocks: FloatArray,
+    gradients: FloatArray,
+    points: FloatArray,
+) -> float:
+    """Add each point's Schur complement to `blocks` and `gradients`; return the weighted cost."""
+    most = 0
+    for point in range(len(start) - 1):
+        most = max(most, start[point + 1] - start[point])
+    jacobian = np.empty((most, 2, 7))
+    coupling = np.empty((most, 7, 3))
+    solved = np.empty((most, 3, 7))
+    residual = np.empty((most, 2))
+    cost = 0.0
+    for point in range(len(start) - 1):
+        first, count = start[point], start[point + 1] - start[point]
+        normal = np.zeros((3, 3))
+        right = np.zeros(3)
+        for o in range(count):
+            k = first + o
+            camera = matrices[view[k]]
+            for a in range(2):
+                target = xy[k, a] - translations[view[k], a]
+                for i in range(3):
+                    right[i] += weights[k] * camera[a, i] * target
+                    for j in range(3):
+                        normal[i, j] += weights[k] * camera[a, i] * camera[a, j]
+        inverse = _symmetric_inverse(normal)
+        x = inverse @ right
+        points[point] = x
+        for o in range(count):
+            k = first + o
+            v = view[k]
+            for a in range(2):
+                predicted = translations[v, a]
+                for i in range(3):
+                    predicted += matrices[v, a, i] * x[i]
+                residual[o, a] = xy[k, a] - predicted
+                cost += weights[k] * residual[o, a] ** 2
+                for p in range(5):
+                    total = 0.0
+                    for i in range(3):
+                        total += derivatives[v, p, a, i] * x[i]
+                    jacobian[o, a, p] = total
+                jacobian[o, a, 5] = 1.0 - a
+                jacobian[o, a, 6] = float(a)
+            for p in range(7):
+                gradients[v, p] += weights[k] * (
+                    jacobian[o, 0, p] * residual[o, 0] + jacobian[o, 1, p] * residual[o, 1]
+                )
+                for i in range(3):
+                    coupling[o, p, i] = weights[k] * (
+                        jacobian[o, 0, p] * matrices[v, 0, i] + jacobian[o, 1, p] * matrices[v, 1, i]
+                    )
+                for q in range(7):
+                    blocks[v, v, p, q] += weights[k] * (
+                        jacobian[o, 0, p] * jacobian[o, 0, q] + jacobian[o, 1, p] * jacobian[o, 1, q]
+                    )
+            for i in range(3):
+                for p in range(7):
+                    total = 0.0
+                    for j in range(3):
+                        total += inverse[i, j] * coupling[o, p, j]
+                    solved[o, i, p] = total
+        for o1 in range(count):
+            for o2 in range(count):
+                v1, v2 = view[first + o1], view[first + o2]
+                for p in range(7):
+                    for q in range(7):
+                        total = 0.0
+                        for i in range(3):
+                            total += coupling[o1, p, i] * solved[o2, i, q]
+                        blocks[v1, v2, p, q] -= total
+    return cost

@@ -1,0 +1,304 @@
+"""From tracks to a calibrated motion with its uncertainty: search, refine, reject, refine, state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from semscape.errors import BadInputError, DegenerateGeometryError, TooFewMatchesError
+from semscape.geometry.cameras import camera_matrices
+from semscape.geometry.rotations import wrap_axis_angle
+from semscape.options import SfmOptions
+from semscape.sfm.adjust import (
+    PARAMETERS_PER_VIEW,
+    Adjustment,
+    adjust,
+    residual_overdispersion,
+)
+from semscape.sfm.eliminated import pattern_scatters
+from semscape.sfm.evolve import Evolution, evolve
+from semscape.sfm.priors import MotionPrior, motion_prior
+from semscape.sfm.relief import relief_vote
+from semscape.types import (
+    Ambiguity,
+    BoolArray,
+    FloatArray,
+    Motion,
+    Observations,
+    Reconstruction,
+    TiltSeries,
+    TiltSource,
+)
+
+_START_NOISE_PX = 0.4
+_REJECT_IN_SIGMAS = 5.0
+_LEAST_TRACKS = 24
+_LEAST_PARALLAX_PX = 0.5
+_WIDE_HEIGHT_SCALE = 0.05
+_DISAGREEMENT_IN_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A reconstruction with the record of its search."""
+
+    reconstruction: Reconstruction
+    evolution: Evolution
+    sigma_px: float
+    overdispersion: float
+
+
+def require_tilts(series: TiltSeries) -> None:
+    """Refuse two views without tilts, which no method can turn into heights.
+
+    Raises
+    ------
+    BadInputError
+        For two views of which not both have a tilt.
+
+    References
+    ----------
+    Koenderink & van Doorn 1991, doi:10.1364/JOSAA.8.000377.
+    """
+    if series.n_views == 2 and not np.isfinite(series.tilt_rad).all():
+        raise BadInputError(
+            f"two views ({', '.join(series.names)}) without stage tilts: two parallel projections show the same "
+            "pictures for a low relief tilted far and a high relief tilted little (bas-relief ambiguity), so no "
+            "height can be computed. Give the tilts (--tilts -3,3, or tilts_deg in series.toml), or add a third view"
+        )
+
+
+def calibrate(
+    series: TiltSeries, observations: Observations, options: SfmOptions, *, rng: np.random.Generator
+) -> Calibration:
+    """Calibrate the motion of a tilt series and triangulate its tracks.
+
+    Parameters
+    ----------
+    series : TiltSeries
+        Its tilts and pixel sizes are priors; its reference view serves the vote on the relief's sign.
+    observations : Observations
+        The tracks.
+    options : SfmOptions
+        Priors, search and refinement.
+    rng : numpy.random.Generator
+        For Differential Evolution.
+
+    Raises
+    ------
+    BadInputError
+        For two views without tilts.
+    TooFewMatchesError
+        With fewer than 24 tracks.
+    DegenerateGeometryError
+        Without parallax, where nothing but the images could give the tilts.
+    """
+    require_tilts(series)
+    if observations.n_points < _LEAST_TRACKS:
+        raise TooFewMatchesError(
+            f"{observations.n_points} tracks over {series.n_views} views, need {_LEAST_TRACKS}: "
+            "check that all images show the same field of the specimen, or tilt in smaller steps"
+        )
+    prior = motion_prior(series, options)
+    _require_parallax(series, observations, prior)
+
+    patterns = pattern_scatters(observations, series.n_views, np.ones(observations.n_points))
+    evolution = evolve(patterns, prior, _START_NOISE_PX, options, rng=rng)
+    first = adjust(
+        _start_parameters(evolution.parameters, observations, series.n_views),
+        observations,
+        prior,
+        max_iterations=options.max_iterations,
+    )
+    kept, keep = _without_outliers(observations, first)
+    overdispersion = residual_overdispersion(
+        first.residual_px[keep], kept, first.weights[keep], first.sigma_px, series.n_views
+    )
+    final = adjust(first.parameters, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion)
+    return Calibration(_reconstruction(series, kept, final, prior, options), evolution, final.sigma_px, overdispersion)
+
+
+def _start_parameters(searched: FloatArray, observations: Observations, n_views: int) -> FloatArray:
+    """Add to the searched motion (1 + 4 V,) the translations, from the mean of each view's observations."""
+    parameters = np.empty(1 + PARAMETERS_PER_VIEW * n_views)
+    parameters[0] = searched[0]
+    for offset in range(1, 5):
+        parameters[offset::PARAMETERS_PER_VIEW] = searched[offset::4]
+    for axis in (0, 1):
+        total = np.bincount(observations.view, observations.xy[:, axis], minlength=n_views)
+        count = np.maximum(np.bincount(observations.view, minlength=n_views), 1)
+        parameters[5 + axis :: PARAMETERS_PER_VIEW] = total / count
+    return parameters
+
+
+def _require_parallax(series: TiltSeries, observations: Observations, prior: MotionPrior) -> None:
+    """Refuse views that differ by no more than an affine map, unless the stage gives the tilts."""
+    if not prior.self_calibrated:
+        return
+    largest = 0.0
+    for i1 in range(series.n_views):
+        for i2 in range(i1 + 1, series.n_views):
+            largest = max(largest, _parallax_px(observations, i1, i2))
+    if largest < _LEAST_PARALLAX_PX:
+        raise DegenerateGeometryError(
+            f"no parallax: between any two of {series.n_views} views the points move by at most {largest:.2f} px rms "
+            f"against a common affine map, need {_LEAST_PARALLAX_PX} px. The images are the same picture, the "
+            "specimen is flat, or the tilts are too small; give the stage tilts (--tilts) or tilt farther"
+        )
+
+
+def _parallax_px(observations: Observations, i1: int, i2: int) -> float:
+    """Return the robust spread of the points of two views about the affine map between them, in px."""
+    xy1, xy2 = shared_points(observations, i1, i2)
+    if len(xy1) < 8:
+        return 0.0
+    design = np.column_stack([xy1 - xy1.mean(axis=0), np.ones(len(xy1))])
+    solution, *_ = np.linalg.lstsq(design, xy2, rcond=None)
+    residual = np.linalg.norm(xy2 - design @ solution, axis=1)
+    return float(np.sqrt(np.mean(np.minimum(residual, 5 * np.median(residual) + 1e-12) ** 2)))
+
+
+def shared_points(observations: Observations, i1: int, i2: int) -> tuple[FloatArray, FloatArray]:
+    """Return the px points (S, 2) in views i1 and i2 of the tracks that both see."""
+    in1, in2 = observations.view == i1, observations.view == i2
+    _, at1, at2 = np.intersect1d(observations.point[in1], observations.point[in2], return_indices=True)
+    return observations.xy[in1][at1], observations.xy[in2][at2]
+
+
+def _without_outliers(observations: Observations, adjustment: Adjustment) -> tuple[Observations, BoolArray]:
+    """Drop observations beyond 5 sigma, and tracks that are left with fewer than two."""
+    length = np.bincount(observations.point)[observations.point]
+    free_share = (2.0 * length - 3.0) / (2.0 * length)
+    keep = np.linalg.norm(adjustment.residual_px, axis=1) < (
+        _REJECT_IN_SIGMAS * adjustment.sigma_px * np.sqrt(free_share)
+    )
+    left = np.bincount(observations.point, keep, minlength=observations.n_points)
+    keep &= left[observations.point] >= 2
+    _, point = np.unique(observations.point[keep], return_inverse=True)
+    return Observations(observations.view[keep], point.astype(np.int64), observations.xy[keep]), keep
+
+
+def _reconstruction(
+    series: TiltSeries, observations: Observations, final: Adjustment, prior: MotionPrior, options: SfmOptions
+) -> Reconstruction:
+    motion = _motion(final.parameters, prior)
+    points = final.points_um
+    sign, ambiguity, confidence, warnings = _relief_sign(series, observations, points, prior, options)
+    if sign < 0:
+        motion = replace(motion, tilt_rad=-motion.tilt_rad)
+        points = points * np.array([1.0, 1.0, -1.0])
+    motion, points = _centre_world(motion, points, series.shape, prior.reference)
+
+    covariance = final.covariance.copy()
+    signs = np.ones(len(covariance))
+    signs[1::PARAMETERS_PER_VIEW] = sign * (-1.0 if wrap_axis_angle(final.parameters[0])[1] else 1.0)
+    covariance *= signs[:, None] * signs
+    tilt_covariance = covariance[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
+    deviation = motion.tilt_rad - motion.tilt_rad.mean()
+    gradient = deviation / max(float(deviation @ deviation), 1e-18)
+    height_scale_sigma = float(np.sqrt(gradient @ tilt_covariance @ gradient))
+    tilt_sigma = np.sqrt(np.diag(tilt_covariance))
+    warnings += _tilt_warnings(series, motion, tilt_sigma, prior, height_scale_sigma)
+    source: TiltSource = "self-calibrated" if prior.self_calibrated else _told_by(series)
+    return Reconstruction(
+        motion=motion,
+        points_um=points,
+        points_sigma_um=np.sqrt(np.maximum(np.einsum("pii->pi", final.points_covariance_um2), 0)),
+        observations=observations,
+        residual_px=final.residual_px,
+        weights=final.weights,
+        covariance=covariance,
+        tilt_sigma_rad=tilt_sigma,
+        tilt_prior_rad=series.tilt_rad,
+        tilt_source=source,
+        height_scale_relative_sigma=height_scale_sigma,
+        ambiguity=ambiguity,
+        relief_confidence=confidence,
+        rms_px=float(np.sqrt(np.mean((final.residual_px**2).sum(axis=1)))),
+        reference=prior.reference,
+        length_unit=series.length_unit,
+        warnings=tuple(warnings),
+    )
+
+
+def _motion(parameters: FloatArray, prior: MotionPrior) -> Motion:
+    per_view = parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
+    axis, flipped = wrap_axis_angle(float(parameters[0]))
+    return Motion(
+        axis_angle_rad=axis,
+        tilt_rad=-per_view[:, 0] if flipped else per_view[:, 0].copy(),
+        roll_rad=per_view[:, 1].copy(),
+        scale_px_per_um=prior.scale_px_per_um * (1 + per_view[:, 2]),
+        anisotropy=per_view[:, 3].copy(),
+        translation_px=per_view[:, 4:6].copy(),
+    )
+
+
+def _centre_world(
+    motion: Motion, points: FloatArray, shape: tuple[int, int], reference: int
+) -> tuple[Motion, FloatArray]:
+    """Move the world's origin to the median height under the centre of the reference view."""
+    matrices = camera_matrices(motion)
+    z = float(np.median(points[:, 2]))
+    centre_px = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
+    right = centre_px - motion.translation_px[reference] - matrices[reference][:, 2] * z
+    origin = np.append(np.linalg.solve(matrices[reference][:, :2], right), z)
+    return replace(motion, translation_px=motion.translation_px + matrices @ origin), points - origin
+
+
+def _relief_sign(
+    series: TiltSeries,
+    observations: Observations,
+    points: FloatArray,
+    prior: MotionPrior,
+    options: SfmOptions,
+) -> tuple[float, Ambiguity, float, list[str]]:
+    """Decide whether to mirror the relief: by the stage's sign, else by shading, reported as assumed."""
+    if not prior.self_calibrated:
+        if options.invert_relief:
+            raise BadInputError(
+                "--invert-relief is for series without stage tilts; here the sign of the tilts fixes the relief. "
+                "If the relief is inverted, give the tilts with the opposite signs (--tilts)"
+            )
+        return 1.0, "none", 1.0, []
+    in_reference = observations.view == prior.reference
+    seen = observations.point[in_reference]
+    correlation, confidence = relief_vote(series.views[prior.reference], observations.xy[in_reference], points[seen, 2])
+    sign = -1.0 if correlation < 0 else 1.0
+    voted = "up"
+    if options.invert_relief:
+        sign, voted = -sign, "down (--invert-relief)"
+    warning = (
+        f"no stage tilt gives the sign of the relief: shading votes for what is bright to stand {voted}, confidence "
+        f"{confidence:.0%}; if hills come out as pits, run again with --invert-relief"
+    )
+    return sign, "reflection", confidence, [warning]
+
+
+def _told_by(series: TiltSeries) -> TiltSource:
+    sources = {view.metadata.source.get("tilt_rad") for view in series.views}
+    return "metadata" if sources <= {"file", None} else "user"
+
+
+def _tilt_warnings(
+    series: TiltSeries, motion: Motion, tilt_sigma: FloatArray, prior: MotionPrior, height_scale_sigma: float
+) -> list[str]:
+    warnings = []
+    if height_scale_sigma > _WIDE_HEIGHT_SCALE:
+        reason = (
+            "the tilts come from the images alone, where a scan anisotropy of 0.05 % already moves them; give the "
+            "stage tilts (--tilts) or take more views over a wider range"
+            if prior.self_calibrated
+            else "the tilt range is small against the stage's error; tilt farther"
+        )
+        warnings.append(f"height scale known to +-{196 * height_scale_sigma:.0f} % (95 %) only: {reason}")
+    told = np.isfinite(prior.tilt_sigma_rad) & ~np.full(len(tilt_sigma), prior.self_calibrated)
+    for view in np.flatnonzero(told):
+        change = motion.tilt_rad[view] - prior.tilt_rad[view]
+        if abs(change) > _DISAGREEMENT_IN_SIGMAS * prior.tilt_sigma_rad[view]:
+            warnings.append(
+                f"{series.names[view]}: the stage says {np.rad2deg(prior.tilt_rad[view]):.2f} deg, the images say "
+                f"{np.rad2deg(motion.tilt_rad[view]):.2f} deg; mistyped tilt, wrong sign or swapped files?"
+            )
+    return warnings

@@ -1,0 +1,119 @@
+"""Find the motion globally with Differential Evolution over the eliminated-structure objective."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from semscape.options import SfmOptions
+from semscape.sfm.eliminated import PatternScatters, eliminated_cost, projection_matrices
+from semscape.sfm.priors import MotionPrior
+from semscape.types import FloatArray
+
+_AXIS_BOUNDS_RAD = (-np.pi / 4, 3 * np.pi / 4)
+_STAGE_BOUND_IN_SIGMAS = 10.0
+_PRIOR_BOUND_IN_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Evolution:
+    """The best motion parameters (1 + 4 V,), its cost and the best cost after every generation."""
+
+    parameters: FloatArray
+    cost: float
+    best_cost: FloatArray
+    n_evaluations: int
+
+
+def evolve(
+    patterns: PatternScatters,
+    prior: MotionPrior,
+    sigma_px: float,
+    options: SfmOptions,
+    *,
+    rng: np.random.Generator,
+) -> Evolution:
+    """Search axis, tilts, rolls and scales of a series globally.
+
+    The cost is E / sigma^2 plus the squared priors. Scan anisotropy stays at zero: it is a correction that
+    bundle adjustment finds.
+
+    Parameters
+    ----------
+    patterns : PatternScatters
+        The tracks.
+    prior : MotionPrior
+        Priors, which also bound the search.
+    sigma_px : float
+        Noise of a keypoint's coordinate.
+    options : SfmOptions
+        Generations and population.
+    rng : numpy.random.Generator
+
+    References
+    ----------
+    Storn & Price 1997, doi:10.1023/A:1008202821328.
+    """
+    centre, sigma = prior.centre_and_sigma()
+    free, bounds = _free_parameters(prior, centre, sigma)
+    tight = np.isfinite(sigma)
+    history: list[float] = []
+
+    def population_cost(members: FloatArray) -> FloatArray:
+        parameters = np.tile(centre, (members.shape[1], 1))
+        parameters[:, free] = members.T
+        error = eliminated_cost(projection_matrices(parameters, prior.scale_px_per_um), patterns) / sigma_px**2
+        deviation = (parameters[:, tight] - centre[tight]) / sigma[tight]
+        cost: FloatArray = error + (deviation**2).sum(axis=1)
+        return cost
+
+    def record(intermediate_result: object) -> None:
+        history.append(float(intermediate_result.fun))  # type: ignore[attr-defined]
+
+    found = differential_evolution(
+        population_cost,
+        bounds,
+        strategy="best1bin",
+        maxiter=options.de_generations,
+        popsize=options.de_population_per_variable,
+        tol=0.0,
+        atol=0.0,
+        mutation=(0.4, 0.9),
+        recombination=0.9,
+        rng=rng,
+        callback=record,
+        polish=False,
+        init="sobol",
+        updating="deferred",
+        vectorized=True,
+    )
+    parameters = centre.copy()
+    parameters[free] = found.x
+    return Evolution(parameters, float(found.fun), np.array(history), int(found.nfev))
+
+
+def _free_parameters(
+    prior: MotionPrior, centre: FloatArray, sigma: FloatArray
+) -> tuple[np.ndarray, list[tuple[float, float]]]:
+    """Return the indices of the searched parameters and their bounds.
+
+    The reference view's tilt, roll and scale are held: a common change of them is no change of the images.
+    """
+    free, bounds = [0], [_AXIS_BOUNDS_RAD]
+    if np.isfinite(prior.axis_sigma_rad):
+        reach = _PRIOR_BOUND_IN_SIGMAS * prior.axis_sigma_rad
+        bounds = [(centre[0] - reach, centre[0] + reach)]
+    for view in range(prior.n_views):
+        if view == prior.reference:
+            continue
+        for offset in (1, 2, 3):
+            index = 4 * view + offset
+            if np.isfinite(sigma[index]):
+                reach = (_STAGE_BOUND_IN_SIGMAS if offset == 1 else _PRIOR_BOUND_IN_SIGMAS) * sigma[index]
+            else:
+                reach = prior.max_tilt_rad
+            free.append(index)
+            bounds.append((centre[index] - reach, centre[index] + reach))
+    return np.array(free), bounds

@@ -1,0 +1,76 @@
+"""Vote on the sign of a self-calibrated relief by its shading.
+
+Parallel projections of a relief and of its mirror image under opposite tilts are the same. Secondary
+electrons tell them apart: they leave ridges and small bumps easily and pits hardly, so what stands out of its
+neighbourhood is bright.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.spatial import cKDTree
+from scipy.stats import rankdata
+
+from semscape.types import FloatArray, Micrograph
+
+_NEIGHBOURS = 30
+_FINE_PX = 3.0
+_LEAST_COARSE_PX = 8.0
+
+
+def relief_vote(view: Micrograph, xy: FloatArray, height: FloatArray) -> tuple[float, float]:
+    """Correlate local height with local brightness.
+
+    Local height is the height above the plane through the 30 nearest points; local brightness is taken
+    against the wider neighbourhood. The slope, which brightens a surface whatever its sign, is regressed out.
+
+    Parameters
+    ----------
+    view : Micrograph
+        The view that `xy` refers to.
+    xy : (P, 2) float array
+        Points in px.
+    height : (P,) float array
+        Heights in any unit.
+
+    Returns
+    -------
+    correlation : float
+        Rank correlation in [-1, 1]; negative when the relief is inverted.
+    confidence : float
+        Probability in [0.5, 1) that its sign is right, with one independent vote per neighbourhood.
+    """
+    if len(xy) < 2 * _NEIGHBOURS:
+        return 0.0, 0.5
+    distance, neighbour = cKDTree(xy).query(xy, k=_NEIGHBOURS)
+    radius = distance[:, -1]
+    offset = np.concatenate([xy[neighbour] - xy[:, None], np.ones((len(xy), _NEIGHBOURS, 1))], axis=2)
+    normal = np.einsum("nki,nkj->nij", offset, offset) + 1e-6 * np.eye(3)
+    right = np.einsum("nki,nk->ni", offset, height[neighbour])
+    plane = np.linalg.solve(normal, right[..., None])[..., 0]
+    local_height = height - plane[:, 2]
+    slope = np.hypot(plane[:, 0], plane[:, 1])
+
+    weight = view.mask.astype(np.float64)
+    filled = np.where(view.mask, view.image, float(view.image[view.mask].mean()))
+    coarse = max(_LEAST_COARSE_PX, 1.5 * float(distance.mean()))
+    local_brightness = (gaussian_filter(filled, _FINE_PX) - gaussian_filter(filled, coarse)) * weight
+    rows = np.clip(np.rint(xy[:, 1]).astype(int), 0, view.image.shape[0] - 1)
+    cols = np.clip(np.rint(xy[:, 0]).astype(int), 0, view.image.shape[1] - 1)
+
+    dense = radius <= np.percentile(radius, 80)
+    brightness = _centred_ranks(local_brightness[rows, cols][dense])
+    explaining = np.column_stack([_centred_ranks(local_height[dense]), _centred_ranks(slope[dense])])
+    coefficient, *_ = np.linalg.lstsq(explaining, brightness, rcond=None)
+    correlation = float(coefficient[0])
+    votes = dense.sum() / _NEIGHBOURS
+    confidence = 0.5 * (1 + math.erf(abs(correlation) * math.sqrt(votes) / math.sqrt(2)))
+    return correlation, confidence
+
+
+def _centred_ranks(values: FloatArray) -> FloatArray:
+    ranks: FloatArray = (rankdata(values) - (len(values) + 1) / 2) / len(values)
+    return ranks
