@@ -17,14 +17,12 @@ from semscape.options import Options
 if TYPE_CHECKING:
     from semscape.io.series import load_series
     from semscape.pipeline import reconstruct
-    from semscape.simulate import simulate
 
 __version__ = "0.1.0"
 
 _MODULE_OF = {
     "load_series": "semscape.io.series",
     "reconstruct": "semscape.pipeline",
-    "simulate": "semscape.simulate",
 }
 
 __all__ = [
@@ -36,7 +34,6 @@ __all__ = [
     "TooFewMatchesError",
     "load_series",
     "reconstruct",
-    "simulate",
 ]
 
 

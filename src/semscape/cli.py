@@ -1,0 +1,265 @@
+"""The command line: `semscape reconstruct`, `inspect`, `simulate` and `demo`.
+
+Exit codes: 0 done, 1 a fault of semscape itself, 2 bad input or usage, 3 the data give no answer, 130
+interrupted. What a command needs is imported when it runs, so that `semscape --help` is quick. No flag has
+a default of its own: a flag that is not given leaves the value to the options file, then to options.py.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from semscape.errors import BadInputError, SemscapeError
+from semscape.flags import effective_options, simulation_options
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from semscape.options import Options
+    from semscape.simulate import SimulationOptions
+    from semscape.types import TiltSeries
+
+app = typer.Typer(
+    name="semscape",
+    help="Metric 3D surfaces with a stated uncertainty from SEM images of one specimen at several tilts.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # its boxes cut the very words one has to type
+)
+
+FolderArgument = Annotated[Path, typer.Argument(help="Folder with the tilted images.", metavar="FOLDER")]
+TiltsOption = Annotated[
+    str | None, typer.Option(help="Stage tilts in deg, in the order of the file names, like -7,0,7.", metavar="LIST")
+]
+PixelSizeOption = Annotated[float | None, typer.Option(help="Pixel size in um.", metavar="UM")]
+AxisOption = Annotated[
+    float | None,
+    typer.Option(metavar="DEG", help="Tilt axis in deg from +x, counter-clockwise: 0 horizontal, 90 vertical."),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="STAGE.KEY=VALUE", help="An option, like sfm.prior_tilt_deg=0.2; may be repeated."),
+]
+OptionsOption = Annotated[
+    Path | None, typer.Option("--options", metavar="FILE", help="Options file (TOML), as a run folder holds it.")
+]
+SeedOption = Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed of every random choice.")]
+WorkersOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="Number of threads; it changes no result.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+DebugOption = Annotated[bool, typer.Option("--debug", help="Show log and traceback.")]
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from semscape import __version__
+
+        typer.echo(f"semscape {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Metric 3D surfaces with a stated uncertainty from SEM images of one specimen at several tilts."""
+
+
+@app.command(short_help="Reconstruct the surface from a folder of images.")
+def reconstruct(
+    folder: FolderArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Run folder to write.", metavar="RUN")],
+    tilts: TiltsOption = None,
+    pixel_size_um: PixelSizeOption = None,
+    axis_deg: AxisOption = None,
+    settings: SetOption = None,
+    options_file: OptionsOption = None,
+    seed: SeedOption = None,
+    workers: WorkersOption = None,
+    invert_relief: Annotated[
+        bool | None,
+        typer.Option("--invert-relief/--keep-relief", help="Mirror a relief whose sign nothing but shading fixed."),
+    ] = None,
+    quiet: QuietOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Reconstruct the surface from a folder of tilted images and write a run folder."""
+    with _exit_codes(debug=debug, quiet=quiet):
+        options = effective_options(options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief)
+        _run(folder, output, options, workers=workers, quiet=quiet)
+
+
+@app.command(short_help="Show what is understood of a folder of images.")
+def inspect(
+    folder: FolderArgument,
+    tilts: TiltsOption = None,
+    pixel_size_um: PixelSizeOption = None,
+    axis_deg: AxisOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    debug: DebugOption = False,
+) -> None:
+    """Show what is understood of a folder of images: vendor, pixel size, tilt, data bar, each with its source."""
+    with _exit_codes(debug=debug, quiet=False):
+        from semscape.io.inspect import describe_series
+        from semscape.io.run_folder import json_text
+        from semscape.io.series import load_series
+        from semscape.report.console import print_inspection
+
+        options = effective_options(None, None, tilts, pixel_size_um, axis_deg, None, None)
+        series = load_series(folder, options.input)
+        views = describe_series(series)
+        if as_json:
+            typer.echo(json_text({"views": views, "warnings": series.warnings}), nl=False)
+        else:
+            print_inspection(str(folder), series, views, _console())
+
+
+@app.command(short_help="Simulate a tilt series with its exact truth.")
+def simulate(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the images.", metavar="FOLDER")],
+    specimen: Annotated[
+        str | None, typer.Argument(help="Built-in specimen, like fracture, pollen or vickers.", metavar="SPECIMEN")
+    ] = None,
+    preset: Annotated[str | None, typer.Option(metavar="NAME", help="Microscope: ideal, nominal or hard.")] = None,
+    tilts: Annotated[str | None, typer.Option(help="Stage tilts in deg, like -6,-3,0,3,6.", metavar="LIST")] = None,
+    views: Annotated[int | None, typer.Option(min=1, metavar="N", help="Number of views about zero tilt.")] = None,
+    step: Annotated[float | None, typer.Option(metavar="DEG", help="Tilt step between views in deg.")] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="SIZE", help="Size of the images in px, like 512 or 640x480.")
+    ] = None,
+    pixel_size_um: PixelSizeOption = None,
+    seed: SeedOption = None,
+    quiet: QuietOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Simulate a tilt series of a built-in specimen, with its exact truth in truth.json."""
+    with _exit_codes(debug=debug, quiet=quiet):
+        microscope = simulation_options(preset, tilts, views, step, size, pixel_size_um)
+        series = _simulate_into(output, specimen, microscope, seed)
+        if not quiet:
+            typer.echo(f"{series.n_views} views in {output}; try: semscape reconstruct {output} -o {output}-run")
+
+
+@app.command(short_help="Simulate, reconstruct, and say where the report is.")
+def demo(
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FOLDER", help="Folder for images and run; ./semscape-demo if left out."
+        ),
+    ] = None,
+    seed: SeedOption = None,
+    workers: WorkersOption = None,
+    quiet: QuietOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Simulate a specimen, reconstruct it, and say where the report is."""
+    with _exit_codes(debug=debug, quiet=quiet):
+        folder = Path("semscape-demo") if output is None else output
+        if not quiet:
+            typer.echo(f"simulating a tilt series in {folder / 'images'}", err=True)
+        _simulate_into(folder / "images", None, None, seed)
+        options = effective_options(None, None, None, None, None, seed, None)
+        _run(folder / "images", folder / "run", options, workers=workers, quiet=quiet)
+
+
+def _run(folder: Path, output: Path, options: Options, *, workers: int | None, quiet: bool) -> None:
+    """Reconstruct a folder of images into a run folder, with progress on stderr and the summary on stdout."""
+    from semscape.io.run_folder import prepare_run_folder
+    from semscape.io.series import load_series
+    from semscape.report.console import StageLines, print_line, print_summary
+
+    series = load_series(folder, options.input)
+    prepare_run_folder(output)
+
+    from semscape.pipeline import reconstruct as reconstruct_series
+    from semscape.report.run import write_run
+
+    given = {} if workers is None else {"workers": workers}
+    with StageLines(_console(err=True), quiet=quiet, unit=series.length_unit) as progress:
+        result = reconstruct_series(series, options, rng=options.run.seed, progress=progress, **given)
+        progress("report", None)
+        write_run(result, output)
+        progress("report", {})
+    if quiet:
+        return
+    for warning in (*result.report.failures, *result.report.warnings):
+        print_line(f"warning: {warning}", _console(err=True), "yellow")
+    console = _console()
+    print_summary(result, console)
+    print_line(f"report: {output / 'report.html'}", console)
+
+
+def _simulate_into(
+    folder: Path, specimen: str | None, microscope: SimulationOptions | None, seed: int | None
+) -> TiltSeries:
+    """Simulate a series and write it to a folder that is new, empty or an earlier simulation's."""
+    from semscape.io.simulated import write_simulated_series
+    from semscape.simulate import simulate as simulate_series
+
+    given: dict[str, Any] = {} if specimen is None else {"specimen": specimen}
+    given |= {} if seed is None else {"rng": seed}
+    series, truth = simulate_series(options=microscope, **given)
+    write_simulated_series(folder, series, truth)
+    return series
+
+
+def _console(*, err: bool = False) -> Console:
+    from rich.console import Console
+
+    stream = sys.stderr if err else sys.stdout
+    # Where nobody looks at a window's width, a table takes what it needs.
+    return Console(stderr=err, highlight=False, width=None if stream.isatty() else 160)
+
+
+@contextmanager
+def _exit_codes(*, debug: bool, quiet: bool) -> Iterator[None]:
+    """Turn what goes wrong into one message on stderr and an exit code; with `debug` let the traceback through."""
+    logging.basicConfig(
+        level=logging.DEBUG if debug else logging.ERROR if quiet else logging.WARNING, format="%(name)s: %(message)s"
+    )
+    for talkative in ("matplotlib", "PIL", "numba", "trimesh", "tifffile"):
+        logging.getLogger(talkative).setLevel(logging.ERROR)
+    try:
+        yield
+    except typer.Exit:
+        raise
+    except KeyboardInterrupt:
+        typer.echo("interrupted", err=True)
+        raise typer.Exit(130) from None
+    except Exception as error:  # noqa: BLE001 (the last resort: a message and an exit code for whatever it is)
+        if debug:
+            import traceback
+
+            traceback.print_exc()
+        code, message = _verdict(error)
+        typer.echo(f"semscape: error: {message}", err=True)
+        raise typer.Exit(code) from None
+
+
+def _verdict(error: Exception) -> tuple[int, str]:
+    """Return the exit code and the message for an exception."""
+    linear_algebra = sys.modules.get("numpy.linalg")
+    is_numerical = linear_algebra is not None and isinstance(error, linear_algebra.LinAlgError)
+    if isinstance(error, BadInputError):
+        return 2, str(error)
+    if isinstance(error, SemscapeError):
+        return 3, str(error)
+    if isinstance(error, ValueError) and not is_numerical:
+        return 2, str(error)
+    detail = " ".join(str(error).split())
+    return 1, f"unexpected {type(error).__name__}{': ' if detail else ''}{detail}; run again with --debug"

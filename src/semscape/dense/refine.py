@@ -1,0 +1,235 @@
+"""Multi-view refinement of a height map: move every height so that all views agree.
+
+With the current heights every view is resampled into the grid. Where the heights are right all resampled
+views show the same texture up to gain and offset; the difference, against how the texture changes with
+height, gives the correction by least squares over a Gaussian window (Lucas & Kanade 1981, over all views and
+in one unknown). The window follows the surface, because each of its pixels is resampled at its own height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from semscape.dense.smooth import local_plane_heights
+from semscape.options import DenseOptions
+from semscape.types import BoolArray, FloatArray, ImageArray, Micrograph
+
+# Windows from narrow to wide, in units of the narrowest; a pixel keeps the narrowest one whose disparity is sharp
+# to the limit beside it, px.
+_WINDOW_SCALES = (1.0, 1.8, 3.2)
+_SHARP_PX = (0.3, 0.3, 0.5)
+_DETAIL_SHARE = 1.0
+_MAX_STEP_PX = 0.5
+_MAX_TOTAL_PX = 3.0
+_LEAST_CORRELATION = 0.3
+_FULL_CORRELATION = 0.7
+_PRESMOOTH_PX = 0.7
+_FULL_RESOLUTION_SIGMA_PX = 4.0
+_NORMALIZING_SIGMA_PX = 3.0
+_PAIR_INFLATION = 4.0
+
+
+@dataclass(frozen=True)
+class RefinedHeights:
+    """Heights (H, W) with their 1-sigma uncertainty in the same unit, and the number of agreeing views."""
+
+    height: FloatArray
+    uncertainty: FloatArray
+    n_views: NDArray[np.uint8]
+
+
+def refine_heights(
+    height: FloatArray,
+    views: tuple[Micrograph, ...],
+    view_from_grid: FloatArray,
+    px_per_height: FloatArray,
+    options: DenseOptions,
+) -> RefinedHeights:
+    """Refine the heights of a grid over all views.
+
+    Parameters
+    ----------
+    height : (H, W) float array
+        Start, NaN where unknown; those stay unknown.
+    views : V Micrographs
+    view_from_grid : (V, 2, 3) float array
+        View px of grid (col, row, 1) at height zero.
+    px_per_height : (V, 2) float array
+        Shift in each view per unit of height.
+    options : DenseOptions
+        Window (sigma in px) and iterations.
+
+    References
+    ----------
+    Lucas & Kanade 1981 (IJCAI); Furukawa & Ponce 2010, doi:10.1109/TPAMI.2009.161.
+    """
+    known = np.isfinite(height)
+    start = np.where(known, height, np.nanmean(height) if known.any() else 0.0)
+    direction, parallax = _parallax(px_per_height)
+    baseline = float(np.ptp(parallax))
+    limit = _MAX_STEP_PX / baseline
+    samplers = [
+        _ViewSampler(view, view_from_grid[i], px_per_height[i], direction, height.shape) for i, view in enumerate(views)
+    ]
+    chosen = np.full(height.shape, np.nan)
+    variance = np.full(height.shape, np.nan)
+    n_views = np.zeros(height.shape)
+    narrower: FloatArray | None = None
+    current = start
+    for scale, sharp_px in zip(_WINDOW_SCALES, _SHARP_PX, strict=True):
+        sigma_px = scale * options.refine_sigma_px
+        for _ in range(options.refine_iterations):
+            state = _compare(current, known, samplers, parallax, sigma_px)
+            current = np.where(known, np.clip(state.height, current - limit, current + limit), start)
+        take = known & np.isnan(chosen) & (state.n_views >= 2) & (np.sqrt(state.variance) * baseline <= sharp_px)
+        take &= np.abs(current - start) * baseline <= _MAX_TOTAL_PX
+        if narrower is not None:
+            # What the next wider window smooths away tells how much this one does: shape finer than the window
+            # is an error that no scatter of the views shows.
+            detail = _window(((current - narrower) ** 2 * known).astype(np.float32), sigma_px).astype(np.float64)
+            variance += _DETAIL_SHARE * detail
+        narrower = current
+        chosen, variance = np.where(take, current, chosen), np.where(take, state.variance, variance)
+        n_views = np.where(take, state.n_views, n_views)
+    found = np.isfinite(chosen)
+    return RefinedHeights(chosen, np.where(found, np.sqrt(variance), np.nan), np.where(found, n_views, 0).astype(np.uint8))
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    height: FloatArray
+    variance: FloatArray
+    n_views: FloatArray
+
+
+class _ViewSampler:
+    """Samples a view, and its slope along the parallax, at the pixels where a grid's heights project."""
+
+    def __init__(
+        self,
+        view: Micrograph,
+        view_from_grid: FloatArray,
+        px_per_height: FloatArray,
+        direction: FloatArray,
+        shape: tuple[int, int],
+    ) -> None:
+        smooth = cv2.GaussianBlur(view.image, (0, 0), _PRESMOOTH_PX)
+        along = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32) * np.float32(direction[0])
+        along += cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32) * np.float32(direction[1])
+        self.image, self.along = smooth, along
+        self.mask = view.mask.astype(np.float32)
+        rows, cols = np.indices(shape, dtype=np.float32)
+        self.x0 = (view_from_grid[0, 0] * cols + view_from_grid[0, 1] * rows + view_from_grid[0, 2]).astype(np.float32)
+        self.y0 = (view_from_grid[1, 0] * cols + view_from_grid[1, 1] * rows + view_from_grid[1, 2]).astype(np.float32)
+        self.px_per_height = px_per_height
+
+    def sample(self, height: FloatArray) -> tuple[ImageArray, ImageArray, ImageArray]:
+        """Return grey values, their slope along the parallax per px, and validity, each (H, W) float32."""
+        h = height.astype(np.float32)
+        x = self.x0 + h * np.float32(self.px_per_height[0])
+        y = self.y0 + h * np.float32(self.px_per_height[1])
+        value = cv2.remap(self.image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        slope = cv2.remap(self.along, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        inside = cv2.remap(self.mask, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        return value, slope, (inside > 0.99).astype(np.float32)
+
+
+def _parallax(px_per_height: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the common direction (2,) of the views' parallax and each view's amount (V,) along it."""
+    centred = px_per_height - px_per_height.mean(axis=0)
+    _, _, directions = np.linalg.svd(centred)
+    return directions[0], px_per_height @ directions[0]
+
+
+def _compare(
+    height: FloatArray, known: BoolArray, samplers: list[_ViewSampler], parallax: FloatArray, sigma_px: float
+) -> _Comparison:
+    """Linearize the disagreement of the views about the current heights."""
+    count = len(samplers)
+    values = np.empty((count, *height.shape), np.float32)
+    slopes = np.empty_like(values)
+    weights = np.empty_like(values)
+    surface = known.astype(np.float32)
+    normalizing_px = max(sigma_px, _NORMALIZING_SIGMA_PX)
+    for i, sampler in enumerate(samplers):
+        value, slope, inside = sampler.sample(height)
+        weight = inside * surface
+        coverage = np.maximum(_window(weight, normalizing_px), 1e-3)
+        mean = _window(value * weight, normalizing_px) / coverage
+        centred = (value - mean) * weight
+        deviation = np.sqrt(np.maximum(_window(centred * centred, normalizing_px) / coverage, 1e-6))
+        values[i], slopes[i], weights[i] = centred / deviation, slope * weight / deviation, weight
+    _weigh_by_agreement(values, weights, surface, normalizing_px)
+
+    total = np.maximum(weights.sum(axis=0), 1e-3)
+    template = (values * weights).sum(axis=0) / total
+    slope = (slopes * weights).sum(axis=0) / total
+    g = parallax[:, None, None].astype(np.float32)
+    lever = g - (g * weights).sum(axis=0) / total
+    leverage = (weights * lever * lever).sum(axis=0)
+    force = np.zeros(height.shape, np.float32)
+    spread = np.zeros(height.shape, np.float32)
+    misfit = np.zeros(height.shape, np.float32)
+    own_power = np.zeros(height.shape, np.float32)
+    for i in range(count):
+        residual = values[i] - template
+        pull = weights[i] * lever[i] * slope * residual
+        force += pull
+        spread += _window(pull, sigma_px) ** 2
+        misfit += weights[i] * residual * residual
+        own_power += weights[i] * weights[i] * slopes[i] * slopes[i]
+    stiffness = slope * slope * leverage
+    base = _base(height, surface, sigma_px)
+    offset = np.where(known, height - base, 0.0).astype(np.float32)
+    fitted = base + local_plane_heights(stiffness, stiffness * offset - force, sigma_px)
+
+    # The noise of one view is not in another: products of slopes of different views hold the texture alone, where
+    # the plain square of the mean slope takes noise for texture.
+    crossed = np.maximum(total * total - (weights * weights).sum(axis=0), 0.1)
+    plain = _window(stiffness, sigma_px)
+    texture = _window((slope * slope * total * total - own_power) / crossed * leverage, sigma_px)
+    texture = np.maximum(np.maximum(texture, 0.2 * plain), 1e-9).astype(np.float64)
+    noise = _window(misfit / np.maximum(total - 1, 0.25), sigma_px).astype(np.float64)
+    variance = noise / (texture * 4 * np.pi * sigma_px**2)
+    if count > 2:
+        # What the views' separate pulls scatter, correlations between neighbouring pixels included.
+        scattered = _window(spread, 2 * sigma_px).astype(np.float64) * count / (count - 2) / texture**2
+        variance = np.maximum(variance, scattered)
+    else:
+        variance *= _PAIR_INFLATION
+    return _Comparison(fitted, variance, (weights > 0.5).sum(axis=0).astype(np.float64))
+
+
+def _base(height: FloatArray, surface: ImageArray, sigma_px: float) -> FloatArray:
+    """Return a smooth version of the known heights, so that single precision serves for what is left."""
+    smooth = cv2.GaussianBlur(np.where(surface > 0, height, 0.0), (0, 0), 2 * sigma_px)
+    coverage = cv2.GaussianBlur(surface, (0, 0), 2 * sigma_px).astype(np.float64)
+    return np.where(coverage > 1e-3, smooth / np.maximum(coverage, 1e-3), height)
+
+
+def _weigh_by_agreement(
+    values: NDArray[np.float32], weights: NDArray[np.float32], surface: ImageArray, sigma_px: float
+) -> None:
+    """Lower in place the weight of a view where it does not correlate with the others: occluded, charged, moved."""
+    total = np.maximum(weights.sum(axis=0), 1e-3)
+    sum_of_all = (values * weights).sum(axis=0)
+    start = weights.copy()
+    for i in range(len(values)):
+        others = (sum_of_all - values[i] * start[i]) / np.maximum(total - start[i], 1e-3)
+        power = np.maximum(_window(others * others * surface, sigma_px), 1e-6)
+        own = np.maximum(_window(values[i] * values[i] * surface, sigma_px), 1e-6)
+        correlation = _window(values[i] * others * surface, sigma_px) / np.sqrt(power * own)
+        weights[i] *= np.clip((correlation - _LEAST_CORRELATION) / (_FULL_CORRELATION - _LEAST_CORRELATION), 0, 1)
+
+
+def _window(values: ImageArray, sigma_px: float) -> ImageArray:
+    if sigma_px <= _FULL_RESOLUTION_SIGMA_PX:
+        return cv2.GaussianBlur(values, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
+    # A wide Gaussian holds no fine detail: blur the image at half its size.
+    height, width = values.shape
+    half = cv2.resize(values, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
+    return cv2.resize(_window(half, sigma_px / 2), (width, height), interpolation=cv2.INTER_LINEAR)

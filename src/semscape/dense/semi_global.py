@@ -1,0 +1,231 @@
+"""Census costs and semi-global matching with a search range of its own for every pixel.
+
+Census compares a pixel with its neighbours and so survives any monotonic change of brightness. Semi-global
+matching (Hirschmueller 2008, doi:10.1109/TPAMI.2007.1166) sums the costs along eight directions; the range
+per pixel, from a coarser level, keeps time and memory proportional to the image and not to the relief
+(Rothermel et al. 2012, tSGM).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from semscape.types import BoolArray, FloatArray, ImageArray
+
+CensusArray = NDArray[np.uint64]
+
+_UNKNOWN_COST = 24
+_FAR = np.float32(1e6)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def census(image: ImageArray, radius: int) -> CensusArray:
+    """Return for each pixel of (H, W) the bits "neighbour is darker" over its (2 radius + 1)^2 window, radius <= 3."""
+    height, width = image.shape
+    words = np.zeros((height, width), np.uint64)
+    for row in range(radius, height - radius):
+        for col in range(radius, width - radius):
+            centre = image[row, col]
+            word = np.uint64(0)
+            for dy in range(-radius, radius + 1):
+                for dx in range(-radius, radius + 1):
+                    if dx != 0 or dy != 0:
+                        word = (word << np.uint64(1)) | np.uint64(image[row + dy, col + dx] < centre)
+            words[row, col] = word
+    return words
+
+
+def match_rows(
+    census1: CensusArray,
+    valid1: BoolArray,
+    census2: CensusArray,
+    valid2: BoolArray,
+    start: NDArray[np.int32],
+    n_disparities: int,
+    penalty_small: float,
+    penalty_large: float,
+) -> FloatArray:
+    """Match rows of image 1 to rows of image 2.
+
+    Parameters
+    ----------
+    census1, census2 : (H, W) uint64 arrays
+    valid1, valid2 : (H, W) bool arrays
+        Where the images hold data.
+    start : (H, W) int32 array
+        Smallest disparity tried at each pixel, px; pixel (row, col) is sought at col + start .. + n - 1.
+    n_disparities : int
+        Number tried at each pixel.
+    penalty_small, penalty_large : float
+        Costs, in census bits, of a change of disparity by one and by more between neighbours.
+
+    Returns
+    -------
+    (H, W) float array
+        Sub-pixel disparity in px; NaN where image 1 is invalid or the best one lies at the end of the range.
+    """
+    height, width = start.shape
+    cost = np.empty((height, width, n_disparities), np.uint8)
+    _matching_cost(census1, valid1, census2, valid2, start, cost)
+    total = np.zeros((height, width, n_disparities), np.uint16)
+    small, large = np.float32(penalty_small), np.float32(penalty_large)
+    _aggregate(cost, start, small, large, total, False)
+    _aggregate(cost, start, small, large, total, True)
+    disparity = np.empty((height, width))
+    _winner(total, start, valid1, disparity)
+    return disparity
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _matching_cost(
+    census1: CensusArray,
+    valid1: BoolArray,
+    census2: CensusArray,
+    valid2: BoolArray,
+    start: NDArray[np.int32],
+    cost: NDArray[np.uint8],
+) -> None:
+    height, width, n = cost.shape
+    m1, m2 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333)
+    m4, ones = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101)
+    for row in range(height):
+        for col in range(width):
+            first = col + start[row, col]
+            for k in range(n):
+                other = first + k
+                if other < 0 or other >= width or not valid1[row, col] or not valid2[row, other]:
+                    cost[row, col, k] = _UNKNOWN_COST
+                    continue
+                x = census1[row, col] ^ census2[row, other]
+                x = x - ((x >> np.uint64(1)) & m1)
+                x = (x & m2) + ((x >> np.uint64(2)) & m2)
+                x = (x + (x >> np.uint64(4))) & m4
+                cost[row, col, k] = (x * ones) >> np.uint64(56)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _aggregate(
+    cost: NDArray[np.uint8],
+    start: NDArray[np.int32],
+    penalty_small: np.float32,
+    penalty_large: np.float32,
+    total: NDArray[np.uint16],
+    backward: bool,
+) -> None:
+    """Add the costs along four directions: from the left and the three above, or their opposites."""
+    height, width, n = cost.shape
+    # Path costs of the previous and the current row: [path, column, 1 .. n], framed by unreachable ends.
+    above = np.full((3, width, n + 2), _FAR, np.float32)
+    here = np.full((3, width, n + 2), _FAR, np.float32)
+    above_least = np.zeros((3, width), np.float32)
+    here_least = np.zeros((3, width), np.float32)
+    side = np.full((2, n + 2), _FAR, np.float32)
+    step = -1 if backward else 1
+    for r in range(height):
+        row = height - 1 - r if backward else r
+        side_least = np.float32(0)
+        for c in range(width):
+            col = width - 1 - c if backward else c
+            previous = col - step
+            if c > 0:
+                side_least = _extend(
+                    cost[row, col],
+                    side[(c + 1) % 2],
+                    side_least,
+                    start[row, col] - start[row, previous],
+                    penalty_small,
+                    penalty_large,
+                    side[c % 2],
+                    total[row, col],
+                )
+            else:
+                side_least = _begin(cost[row, col], side[0], total[row, col])
+            for path in range(3):
+                source = col + (path - 1)
+                if r > 0 and 0 <= source < width:
+                    here_least[path, col] = _extend(
+                        cost[row, col],
+                        above[path, source],
+                        above_least[path, source],
+                        start[row, col] - start[row - step, source],
+                        penalty_small,
+                        penalty_large,
+                        here[path, col],
+                        total[row, col],
+                    )
+                else:
+                    here_least[path, col] = _begin(cost[row, col], here[path, col], total[row, col])
+        above, here = here, above
+        above_least, here_least = here_least, above_least
+
+
+@njit(cache=True, nogil=True, inline="always")  # type: ignore[untyped-decorator]
+def _begin(cost: NDArray[np.uint8], path: NDArray[np.float32], total: NDArray[np.uint16]) -> np.float32:
+    least = _FAR
+    for k in range(len(cost)):
+        value = np.float32(cost[k])
+        path[k + 1] = value
+        total[k] += np.uint16(value)
+        least = min(least, value)
+    return least
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _extend(
+    cost: NDArray[np.uint8],
+    before: NDArray[np.float32],
+    before_least: np.float32,
+    shift: int,
+    penalty_small: np.float32,
+    penalty_large: np.float32,
+    path: NDArray[np.float32],
+    total: NDArray[np.uint16],
+) -> np.float32:
+    """Extend a path by one pixel whose range starts `shift` later; return the least of its new costs."""
+    n = len(cost)
+    jump = before_least + penalty_large
+    if shift == 0:
+        for k in range(n):
+            best = min(min(before[k], before[k + 2]) + penalty_small, min(before[k + 1], jump))
+            path[k + 1] = np.float32(cost[k]) + (best - before_least)
+    else:
+        for k in range(n):
+            at = k + shift
+            best = jump
+            if 0 <= at < n:
+                best = min(best, before[at + 1])
+            if 1 <= at <= n:
+                best = min(best, before[at] + penalty_small)
+            if -1 <= at < n - 1:
+                best = min(best, before[at + 2] + penalty_small)
+            path[k + 1] = np.float32(cost[k]) + (best - before_least)
+    least = _FAR
+    for k in range(n):
+        least = min(least, path[k + 1])
+        total[k] += np.uint16(path[k + 1])
+    return least
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _winner(total: NDArray[np.uint16], start: NDArray[np.int32], valid: BoolArray, disparity: FloatArray) -> None:
+    height, width, n = total.shape
+    for row in range(height):
+        for col in range(width):
+            best = 0
+            for k in range(1, n):
+                if total[row, col, k] < total[row, col, best]:
+                    best = k
+            if not valid[row, col] or best == 0 or best == n - 1:
+                disparity[row, col] = np.nan
+                continue
+            left, middle, right = (
+                float(total[row, col, best - 1]),
+                float(total[row, col, best]),
+                float(total[row, col, best + 1]),
+            )
+            # Census totals rise linearly about their least, so fit a V, not a parabola (less pixel locking).
+            rise = max(left, right) - middle
+            offset = (left - right) / (2 * rise) if rise > 0 else 0.0
+            disparity[row, col] = start[row, col] + best + offset

@@ -1,0 +1,188 @@
+"""From a calibrated series to one height map at zero tilt: pairs, fusion, multi-view refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+
+import cv2
+import numpy as np
+
+from semscape.dense.fuse import fuse, to_zero_tilt
+from semscape.dense.rectify import Frame, rectified_frame, reference_pixel_size_um, warp_to_frame
+from semscape.dense.refine import refine_heights
+from semscape.dense.stereo import RectifiedView, pair_heights
+from semscape.errors import DegenerateGeometryError
+from semscape.geometry.cameras import camera_matrices
+from semscape.options import DenseOptions
+from semscape.types import FloatArray, HeightMap, Reconstruction, TiltSeries
+
+Mapper = Callable[[Callable[..., FloatArray], Iterable[tuple[int, int]]], Iterable[FloatArray]]
+
+_LEAST_BASELINE = 0.01
+_WIDEST_TILT_RAD = np.deg2rad(30.0)
+_RANGE_MARGIN = 0.15
+_JUMP_PX = 1.0
+
+
+@dataclass(frozen=True)
+class DenseSurface:
+    """A height map with the pairs it came from."""
+
+    height_map: HeightMap
+    pairs: tuple[tuple[int, int], ...]
+
+
+def dense_surface(
+    series: TiltSeries, reconstruction: Reconstruction, options: DenseOptions, *, mapper: Mapper = map
+) -> DenseSurface:
+    """Compute the height map of a calibrated series on the reference view's grid at zero tilt.
+
+    Parameters
+    ----------
+    series : TiltSeries
+    reconstruction : Reconstruction
+        Of the same views.
+    options : DenseOptions
+    mapper : callable
+        `map`, or one that runs pairs side by side; the result does not depend on it.
+
+    Raises
+    ------
+    DegenerateGeometryError
+        When no two views differ enough in tilt.
+    """
+    frame = rectified_frame(series, reconstruction)
+    pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
+    if not pairs:
+        span = np.rad2deg(np.ptp(reconstruction.motion.tilt_rad))
+        raise DegenerateGeometryError(f"the tilts span {span:.2f} deg only, too little for heights; tilt farther")
+    views = tuple(
+        RectifiedView(*warp_to_frame(view, index, reconstruction.motion, frame), float(frame.parallax[index]))
+        for index, view in enumerate(series.views)
+    )
+    height_range = _height_range_px(reconstruction, frame)
+    heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
+    fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
+    return DenseSurface(_refined_map(series, reconstruction, frame, fused, options), tuple(pairs))
+
+
+def choose_pairs(tilt_rad: FloatArray, max_pairs: int) -> list[tuple[int, int]]:
+    """Choose the pairs that carry the most height information: the widest that still look alike, each view once."""
+    spread = {
+        (i, j): abs(float(np.tan(tilt_rad[j]) - np.tan(tilt_rad[i]))) for i, j in combinations(range(len(tilt_rad)), 2)
+    }
+    usable = [
+        pair
+        for pair, baseline in spread.items()
+        if baseline > _LEAST_BASELINE and abs(tilt_rad[pair[1]] - tilt_rad[pair[0]]) <= _WIDEST_TILT_RAD
+    ]
+    if not usable and spread:
+        usable = [pair for pair, baseline in spread.items() if baseline > _LEAST_BASELINE]
+    ranked = sorted(usable, key=lambda pair: (-spread[pair], pair))
+    chosen: list[tuple[int, int]] = []
+    for view in range(len(tilt_rad)):
+        widest = next((pair for pair in ranked if view in pair), None)
+        if widest is not None and widest not in chosen:
+            chosen.append(widest)
+    chosen += [pair for pair in ranked if pair not in chosen]
+    return sorted(chosen[: max(max_pairs, 1)])
+
+
+def _pair_at_zero_tilt(
+    views: tuple[RectifiedView, ...],
+    height_range_px: tuple[float, float],
+    options: DenseOptions,
+    pair: tuple[int, int],
+) -> FloatArray:
+    view1, view2 = views[pair[0]], views[pair[1]]
+    return to_zero_tilt(pair_heights(view1, view2, height_range_px, options), view1.parallax)
+
+
+def _height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float, float]:
+    """Return the range of the sparse heights, without their last outliers, widened by 15 % on each side."""
+    low, high = np.percentile(reconstruction.points_um[:, 2], [0.2, 99.8]) / frame.pixel_size_um
+    margin = _RANGE_MARGIN * (high - low)
+    return float(low - margin), float(high + margin)
+
+
+def _refined_map(
+    series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray, options: DenseOptions
+) -> HeightMap:
+    pixel_size = reference_pixel_size_um(reconstruction)
+    rows, columns = series.shape
+    world_from_grid = np.diag([pixel_size, -pixel_size, 1.0, 1.0])
+    world_from_grid[:2, 3] = -pixel_size * (columns - 1) / 2, pixel_size * (rows - 1) / 2
+    start_px = _resample(fused_px, frame, world_from_grid, series.shape)
+
+    matrices = camera_matrices(reconstruction.motion)
+    plane_from_grid = world_from_grid[np.ix_([0, 1], [0, 1, 3])]
+    view_from_grid = matrices[:, :, :2] @ plane_from_grid
+    view_from_grid[:, :, 2] += reconstruction.motion.translation_px
+    refined = refine_heights(start_px, series.views, view_from_grid, matrices[:, :, 2] * pixel_size, options)
+    return HeightMap(
+        height_um=refined.height * pixel_size,
+        uncertainty_um=refined.uncertainty * pixel_size,
+        n_views=refined.n_views,
+        texture=_texture(series, reconstruction, refined.height, view_from_grid, matrices[:, :, 2] * pixel_size),
+        pixel_size_um=pixel_size,
+        world_from_grid=world_from_grid,
+        length_unit=series.length_unit,
+    )
+
+
+def _resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Resample heights from the rectified frame into the output grid, without bridging jumps or gaps."""
+    frame_from_world = np.linalg.inv(np.vstack([frame.world_from_frame, [0, 0, 1]]))
+    grid_to_world = np.array(
+        [
+            [world_from_grid[0, 0], 0, world_from_grid[0, 3]],
+            [0, world_from_grid[1, 1], world_from_grid[1, 3]],
+            [0, 0, 1],
+        ]
+    )
+    frame_from_grid = (frame_from_world @ grid_to_world)[:2]
+    size = (shape[1], shape[0])
+    known = np.isfinite(height_px)
+    values = np.where(known, height_px, 0.0)
+
+    def warp(image: FloatArray, interpolation: int) -> FloatArray:
+        warped: FloatArray = cv2.warpAffine(image, frame_from_grid, size, flags=cv2.WARP_INVERSE_MAP | interpolation)
+        return warped
+
+    nearest = warp(values, cv2.INTER_NEAREST)
+    nearest_known = warp(known.astype(np.float64), cv2.INTER_NEAREST) > 0.5
+    share = warp(known.astype(np.float64), cv2.INTER_LINEAR)
+    linear = warp(values, cv2.INTER_LINEAR) / np.maximum(share, 1e-6)
+    smooth = (share > 0.999) & (np.abs(linear - nearest) < _JUMP_PX / max(float(np.ptp(frame.parallax)), 1e-3))
+    return np.where(nearest_known, np.where(smooth, linear, nearest), np.nan)
+
+
+def _texture(
+    series: TiltSeries,
+    reconstruction: Reconstruction,
+    height_px: FloatArray,
+    view_from_grid: FloatArray,
+    px_per_height: FloatArray,
+) -> FloatArray:
+    """Return the reference micrograph as seen on the surface, NaN where the surface is unknown."""
+    reference = reconstruction.reference
+    rows, cols = np.indices(height_px.shape, dtype=np.float64)
+    h = np.nan_to_num(height_px)
+    at = [
+        (view_from_grid[reference, axis] @ np.stack([cols.ravel(), rows.ravel(), np.ones(cols.size)])).reshape(
+            cols.shape
+        )
+        + h * px_per_height[reference, axis]
+        for axis in (0, 1)
+    ]
+    sampled = cv2.remap(
+        series.views[reference].image,
+        at[0].astype(np.float32),
+        at[1].astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.where(np.isfinite(height_px), sampled, np.nan).astype(np.float32)

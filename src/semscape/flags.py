@@ -1,0 +1,98 @@
+"""What the flags of the command line mean: they become options, each checked with the flag's own name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from semscape.errors import BadInputError
+from semscape.options import Options, read_toml
+
+if TYPE_CHECKING:
+    from semscape.simulate import SimulationOptions
+
+
+def effective_options(
+    file: Path | None,
+    settings: list[str] | None,
+    tilts: str | None,
+    pixel_size_um: float | None,
+    axis_deg: float | None,
+    seed: int | None,
+    invert_relief: bool | None,
+) -> Options:
+    """Return the options: defaults, then the file's, then --set, then the explicit flags."""
+    options = Options()
+    if file is not None:
+        try:
+            options = read_toml(file.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
+            raise BadInputError(f"the options file {file} cannot be read: {reason}") from error
+    options = options.with_settings(settings or [])
+    values: dict[str, dict[str, Any]] = {"input": {}, "run": {}, "sfm": {}}
+    if tilts is not None:
+        values["input"]["tilts_deg"] = _numbers("--tilts", tilts)
+    if pixel_size_um is not None:
+        values["input"]["pixel_size_um"] = _positive("--pixel-size-um", pixel_size_um)
+    if axis_deg is not None:
+        if not math.isfinite(axis_deg):
+            raise BadInputError(f"--axis-deg must be an angle in deg, got {axis_deg}")
+        values["input"]["axis_deg"] = axis_deg
+    if seed is not None:
+        values["run"]["seed"] = seed
+    if invert_relief is not None:
+        values["sfm"]["invert_relief"] = invert_relief
+    return options.with_values(values)
+
+
+def simulation_options(
+    preset: str | None,
+    tilts: str | None,
+    views: int | None,
+    step: float | None,
+    size: str | None,
+    pixel_size_um: float | None,
+) -> SimulationOptions:
+    """Return the simulated microscope's settings: a preset, changed by the flags that are given."""
+    from semscape.simulate import PRESETS, SimulationOptions
+
+    if preset is not None and preset not in PRESETS:
+        raise BadInputError(f"--preset {preset!r} is not known; there are: {', '.join(PRESETS)}")
+    options = SimulationOptions() if preset is None else PRESETS[preset]
+    changes: dict[str, Any] = {}
+    if tilts is not None:
+        if views is not None or step is not None:
+            raise BadInputError("--tilts says all about the tilts; leave out --views and --step")
+        changes["tilts_deg"] = _numbers("--tilts", tilts)
+    elif views is not None or step is not None:
+        now = options.tilts_deg
+        count = len(now) if views is None else views
+        spacing = (max(now) - min(now)) / (len(now) - 1) if step is None else _positive("--step", step)
+        changes["tilts_deg"] = tuple(spacing * (i - (count - 1) / 2) for i in range(count))
+    if size is not None:
+        width, _, height = size.lower().partition("x")
+        if not (width.isdecimal() and (height or width).isdecimal()):
+            raise BadInputError(f"--size {size!r} is not a size in px, like 512 or 640x480")
+        changes |= {"width_px": int(width), "height_px": int(height or width)}
+    if pixel_size_um is not None:
+        changes["pixel_size_um"] = _positive("--pixel-size-um", pixel_size_um)
+    return replace(options, **changes)
+
+
+def _numbers(flag: str, text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(item) for item in text.replace(";", ",").split(","))
+    except ValueError:
+        values = (math.nan,)
+    if not all(math.isfinite(value) for value in values):
+        raise BadInputError(f"{flag} {text!r} is not a list of numbers separated by commas, like -7,0,7")
+    return values
+
+
+def _positive(flag: str, value: float) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise BadInputError(f"{flag} must be a positive number, got {value}")
+    return value

@@ -1,0 +1,1 @@
+"""Files in and out: micrographs, the vendors' metadata, tilt series."""

@@ -1,0 +1,75 @@
+"""Say what was understood of a series: plain values per image, each with its source."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+
+from semscape.io.data_bar import data_bar_rows
+from semscape.io.micrograph import FILE_KEY_PREFIX
+from semscape.types import Micrograph, TiltSeries
+
+
+def describe_series(series: TiltSeries) -> list[dict[str, Any]]:
+    """Return one dict of plain JSON values per view, in the series' order; None where a value is unknown.
+
+    Keys: name, width, height, bits_per_sample, format, vendor, pixel_size_um, tilt_deg (in semscape's sign: a
+    positive tilt about +x moves a peak to larger image y), stage_tilt_deg (what the header says, in the
+    microscope's own sign, whether it was used or not), axis_deg, stage_rotation_deg, scan_rotation_deg,
+    tilt_correction_deg, working_distance_mm, accelerating_voltage_kv, magnification, data_bar_rows; `sources`
+    maps the keys that are known to "file", "sidecar", "user", "assumed" or "image" (seen in the pixels);
+    `warnings` are those of the series that name the image.
+    """
+    return [_describe(view, series.warnings) for view in series.views]
+
+
+def _describe(view: Micrograph, warnings: tuple[str, ...]) -> dict[str, Any]:
+    metadata = view.metadata
+    height, width = view.image.shape
+    fields = {
+        "pixel_size_um": ("pixel_size_um", metadata.pixel_size_um),
+        "tilt_deg": ("tilt_rad", _deg(metadata.tilt_rad)),
+        "axis_deg": ("tilt_axis_angle_rad", _deg(metadata.tilt_axis_angle_rad)),
+        "stage_rotation_deg": ("stage_rotation_rad", _deg(metadata.stage_rotation_rad)),
+        "scan_rotation_deg": ("scan_rotation_rad", _deg(metadata.scan_rotation_rad)),
+        "tilt_correction_deg": ("tilt_correction_rad", _deg(metadata.tilt_correction_rad)),
+        "working_distance_mm": ("working_distance_um", metadata.working_distance_um / 1000),
+        "accelerating_voltage_kv": ("accelerating_voltage_kv", metadata.accelerating_voltage_kv),
+        "magnification": ("magnification", metadata.magnification),
+    }
+    values = {key: _known(value) for key, (_, value) in fields.items()}
+    sources: dict[str, str] = {
+        key: metadata.source.get(name, "assumed") for key, (name, _) in fields.items() if values[key] is not None
+    }
+    rows = data_bar_rows(view.mask)
+    sources["data_bar_rows"] = "file" if rows and rows == metadata.data_bar_rows else "image"
+    stage_tilt = metadata.raw.get(FILE_KEY_PREFIX + "stage_tilt_deg")
+    bits = metadata.raw.get(FILE_KEY_PREFIX + "bits_per_sample")
+    return {
+        "name": view.name,
+        "width": width,
+        "height": height,
+        "bits_per_sample": int(bits) if bits else None,
+        "format": metadata.raw.get(FILE_KEY_PREFIX + "format"),
+        "vendor": metadata.vendor,
+        **values,
+        "stage_tilt_deg": float(stage_tilt) if stage_tilt else None,
+        "data_bar_rows": rows,
+        "sources": sources,
+        "warnings": [text for text in warnings if _names(text, view.name)],
+    }
+
+
+def _names(text: str, name: str) -> bool:
+    return re.search(rf"(?<![\w.-]){re.escape(name)}(?![\w-])", text) is not None
+
+
+def _deg(angle_rad: float | None) -> float:
+    return math.nan if angle_rad is None else float(np.rad2deg(angle_rad))
+
+
+def _known(value: float) -> float | None:
+    return float(f"{value:.12g}") if math.isfinite(value) else None

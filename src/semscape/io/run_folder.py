@@ -1,0 +1,229 @@
+"""The run folder: the contract of docs/run-folder.md, written so that no half-written file is ever trusted."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from semscape.errors import BadInputError
+from semscape.geometry.rotations import tilted_cam_from_world
+from semscape.io.surfaces import (
+    encode_height_map_npz,
+    encode_height_map_tif,
+    encode_mesh_glb,
+    encode_mesh_ply,
+    encode_points_ply,
+)
+from semscape.options import Options
+from semscape.types import Reconstruction, Result
+
+RUN_FILES = (
+    "points.ply",
+    "mesh.ply",
+    "mesh.glb",
+    "height_map.npz",
+    "height_map.tif",
+    "options.toml",
+    "reconstruction.json",
+    "report.html",
+    "report.json",
+)
+"""Every file of a run folder, in the order they are put in place; report.json is the last."""
+
+_PARTIAL_PREFIX = ".semscape-partial-"
+
+
+def prepare_run_folder(folder: Path | str) -> Path:
+    """Make sure that a run can be written to a folder, before the long computation starts.
+
+    The folder is created where it does not exist. An empty folder and an earlier run folder are accepted.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    BadInputError
+        If the folder is a file, holds something else than a run, or cannot be written.
+    """
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        entries = {entry.name for entry in path.iterdir() if not entry.name.startswith(".")}
+        if entries and not {"report.json", "reconstruction.json", "options.toml"} <= entries:
+            raise BadInputError(
+                f"the output folder {path} is not empty and is not an earlier run of semscape (it holds "
+                f"{min(entries)!r}); give a new or empty folder"
+            )
+        for name in RUN_FILES:
+            if (path / name).is_dir():
+                raise BadInputError(f"the output folder {path} cannot be written: {name} in it is a folder")
+        shutil.rmtree(_make_partial(path))
+    except (FileExistsError, NotADirectoryError) as error:
+        raise BadInputError(f"the output folder {path} cannot be made: a file stands in its place") from error
+    except OSError as error:
+        raise BadInputError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def encode_run(result: Result) -> dict[str, bytes]:
+    """Return the files of a run by name, all but the two reports, which `semscape.report.write_run` adds."""
+    reconstruction = result.reconstruction
+    return {
+        "points.ply": encode_points_ply(
+            reconstruction.points_um, reconstruction.points_sigma_um, reconstruction.length_unit
+        ),
+        "mesh.ply": encode_mesh_ply(result.mesh),
+        "mesh.glb": encode_mesh_glb(result.mesh),
+        "height_map.npz": encode_height_map_npz(result.height_map),
+        "height_map.tif": encode_height_map_tif(result.height_map),
+        "options.toml": options_toml(result.report.options).encode(),
+        "reconstruction.json": json_text(reconstruction_to_dict(reconstruction, result.series.names)).encode(),
+    }
+
+
+def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
+    """Write files into a folder: all under temporary names first, then each renamed into place.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be written; the files that were there before are then untouched.
+    """
+    path = Path(folder)
+    try:
+        partial = _make_partial(path)
+        try:
+            for name, content in files.items():
+                with (partial / name).open("wb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+            for name in files:
+                (partial / name).replace(path / name)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        raise BadInputError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
+
+
+def reconstruction_to_dict(reconstruction: Reconstruction, names: Sequence[str]) -> dict[str, Any]:
+    """Return the contents of reconstruction.json: angles in deg, lengths in the unit that `length_unit` names.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+        Calibrated motion and points.
+    names : sequence of str
+        Name of each view.
+    """
+    motion, unit = reconstruction.motion, reconstruction.length_unit
+    rotation = tilted_cam_from_world(motion.axis_angle_rad, motion.tilt_rad, motion.roll_rad)
+    sigma = _parameter_sigma(reconstruction)
+    scale = motion.scale_px_per_um
+    views = [
+        {
+            "name": name,
+            "tilt_deg": math.degrees(motion.tilt_rad[i]),
+            "tilt_sigma_deg": math.degrees(reconstruction.tilt_sigma_rad[i]),
+            "stage_tilt_deg": math.degrees(reconstruction.tilt_prior_rad[i]),
+            "roll_deg": math.degrees(motion.roll_rad[i]),
+            "roll_sigma_deg": math.degrees(sigma[i, 1]),
+            f"scale_px_per_{unit}": scale[i],
+            f"scale_sigma_px_per_{unit}": scale[i] * sigma[i, 2],
+            "anisotropy": motion.anisotropy[i],
+            "anisotropy_sigma": sigma[i, 3],
+            "R": rotation[i],
+            "t_px": motion.translation_px[i],
+        }
+        for i, name in enumerate(names)
+    ]
+    return {
+        "views": views,
+        "axis_deg": math.degrees(motion.axis_angle_rad),
+        "axis_sigma_deg": math.degrees(math.sqrt(max(reconstruction.covariance[0, 0], 0.0))),
+        "reference_view": names[reconstruction.reference],
+        "tilt_source": reconstruction.tilt_source,
+        "height_scale_relative_sigma": reconstruction.height_scale_relative_sigma,
+        "ambiguity": reconstruction.ambiguity,
+        "relief_confidence": reconstruction.relief_confidence,
+        "rms_px": reconstruction.rms_px,
+        "n_tracks": len(reconstruction.points_um),
+        "length_unit": unit,
+    }
+
+
+def options_toml(options: Mapping[str, Any]) -> str:
+    """Return a report's options as the text of an options file; a null, JSON's NaN, takes the default."""
+    tables = {
+        stage: {key: value for key, value in values.items() if value is not None} for stage, values in options.items()
+    }
+    head = "# The effective options of a run: semscape reconstruct FOLDER --options options.toml -o RUN repeats it.\n\n"
+    return head + Options().with_values(tables).to_toml()
+
+
+def json_text(value: Any) -> str:
+    """Return JSON text of nested values and arrays, keys in their order; NaN and infinity become null.
+
+    Examples
+    --------
+    >>> print(json_text({"height_um": float("nan"), "t_px": np.array([1.0, 2.5])}), end="")
+    {
+      "height_um": null,
+      "t_px": [1.0, 2.5]
+    }
+    """
+    return _indented(plain_json(value), "") + "\n"
+
+
+def plain_json(value: Any) -> Any:
+    """Return nested values with arrays as lists, NumPy numbers as Python's and non-finite numbers as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_json(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain_json(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain_json(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    raise TypeError(f"{type(value).__name__} has no place in a JSON file: {value!r}")
+
+
+def _indented(value: Any, indent: str) -> str:
+    """Return JSON with an item a line, but lists of plain numbers and texts on one line."""
+    inner = indent + "  "
+    if isinstance(value, dict) and value:
+        items = [
+            f"{inner}{json.dumps(key, ensure_ascii=False)}: {_indented(item, inner)}" for key, item in value.items()
+        ]
+        return "{\n" + ",\n".join(items) + "\n" + indent + "}"
+    if isinstance(value, list) and any(isinstance(item, list | dict) for item in value):
+        return "[\n" + ",\n".join(inner + _indented(item, inner) for item in value) + "\n" + indent + "]"
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def _parameter_sigma(reconstruction: Reconstruction) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the 1-sigma of each view's six parameters, (V, 6), from the covariance's diagonal."""
+    variance = np.diag(reconstruction.covariance)[1:]
+    return np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 6)
+
+
+def _make_partial(folder: Path) -> Path:
+    """Make a hidden folder for files that are not complete yet, and clear what killed runs left."""
+    for leftover in folder.glob(f"{_PARTIAL_PREFIX}*"):
+        shutil.rmtree(leftover, ignore_errors=True)
+    return Path(tempfile.mkdtemp(prefix=_PARTIAL_PREFIX, dir=folder))

@@ -1,0 +1,197 @@
+"""The one straight line from a tilt series to a surface; only this module knows the order of the stages."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Callable
+from functools import partial
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from semscape.cluster import Mapper, local_mapper
+from semscape.dense.mesh import height_map_mesh
+from semscape.dense.surface import dense_surface
+from semscape.errors import SemscapeError, TooFewMatchesError
+from semscape.features.detect import detect
+from semscape.options import Options
+from semscape.report.summary import build_report, pair_figures
+from semscape.sfm.calibrate import calibrate, require_tilts
+from semscape.sfm.tracks import build_tracks
+from semscape.sfm.two_view import Pair, largest_connected_set, match_pair, renumber
+from semscape.types import Keypoints, Matches, Result, StageReport, TiltSeries, TwoViewGeometry
+
+Progress = Callable[[str, dict[str, Any] | None], None]
+
+
+def reconstruct(
+    series: TiltSeries,
+    options: Options | None = None,
+    *,
+    rng: int | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Result:
+    """Reconstruct the surface of a specimen from a tilt series.
+
+    Parameters
+    ----------
+    series : TiltSeries
+        Two or more views, from `load_series` or `simulate`.
+    options : Options, optional
+        Of every stage; defaults where left out.
+    rng : int, optional
+        Seed; `options.run.seed` where left out.
+    workers : int, optional
+        Threads; one per core where left out. The result does not depend on it.
+    progress : callable, optional
+        Called with a stage's name and None when it starts, and with its figures when it has ended.
+
+    Returns
+    -------
+    Result
+        Everything from keypoints to mesh, with a report.
+
+    Raises
+    ------
+    BadInputError
+        For two views without tilts.
+    NoAnswerError
+        When the images do not determine a surface: too few matches, no parallax.
+
+    Examples
+    --------
+    >>> import semscape
+    >>> from semscape.simulate import SimulationOptions, simulate
+    >>> small = SimulationOptions(tilts_deg=(-6.0, 0.0, 6.0), width_px=256, height_px=256)
+    >>> series, truth = simulate("fracture", small, rng=0)
+    >>> result = semscape.reconstruct(series, rng=0)
+    >>> result.height_map.height_um.shape
+    (256, 256)
+    """
+    options = options or Options()
+    seed = options.run.seed if rng is None else rng
+    stages = _Stages(progress)
+    require_tilts(series)
+    with local_mapper(workers) as mapper:
+        with stages("detect") as figures:
+            keypoints = tuple(mapper(partial(detect, options=options.features), series.views))
+            figures["n_keypoints"] = sum(len(found) for found in keypoints)
+
+        with stages("match") as figures:
+            matches, geometries, failures = _match_all(series, keypoints, options, seed, mapper)
+            series, keypoints, matches, geometries = _connected(series, keypoints, matches, geometries, failures)
+            figures["n_inliers"] = int(sum(geometry.inliers.sum() for geometry in geometries))
+            figures["n_pairs"] = len(geometries)
+
+        with stages("calibrate") as figures:
+            observations = build_tracks(keypoints, matches, geometries)
+            calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
+            reconstruction = calibration.reconstruction
+            figures["rms_px"] = reconstruction.rms_px
+            figures["tilts_deg"] = np.rad2deg(reconstruction.motion.tilt_rad).round(3).tolist()
+            figures["n_tracks"] = len(reconstruction.points_um)
+            figures["de_generations"] = len(calibration.evolution.best_cost)
+            figures["de_cost"] = calibration.evolution.cost
+            figures["noise_sigma_px"] = calibration.sigma_px
+            figures["overdispersion"] = calibration.overdispersion
+
+        with stages("surface") as figures:
+            surface = dense_surface(series, reconstruction, options.dense, mapper=mapper)
+            figures["completeness"] = float(np.isfinite(surface.height_map.height_um).mean())
+            figures["pairs"] = [list(pair) for pair in surface.pairs]
+
+        with stages("mesh") as figures:
+            mesh = height_map_mesh(surface.height_map, max_vertices=options.dense.mesh_max_vertices)
+            figures["n_vertices"], figures["n_faces"] = len(mesh.vertices_um), len(mesh.faces)
+
+    report = build_report(
+        series,
+        reconstruction,
+        surface.height_map,
+        stages=tuple(stages.done),
+        pairs=pair_figures(series, matches, geometries, reconstruction.observations),
+        keypoints=keypoints,
+        options=options,
+        seed=seed,
+        failures=tuple(failures),
+    )
+    return Result(series, keypoints, matches, geometries, reconstruction, surface.height_map, mesh, report)
+
+
+def _match_all(
+    series: TiltSeries, keypoints: tuple[Keypoints, ...], options: Options, seed: int, mapper: Mapper
+) -> tuple[tuple[Matches, ...], tuple[TwoViewGeometry, ...], list[str]]:
+    """Match every pair; a pair that shares no scene is a line among the failures."""
+
+    def attempt(pair: Pair) -> tuple[Matches, TwoViewGeometry] | SemscapeError:
+        try:
+            rng = _stream(seed, "match", *pair)
+            return match_pair(pair, keypoints, series.names, series.shape, options.features, options.robust, rng)
+        except SemscapeError as error:
+            return error
+
+    outcomes = list(mapper(attempt, combinations(range(series.n_views), 2)))
+    failures = [str(outcome) for outcome in outcomes if isinstance(outcome, SemscapeError)]
+    found = [outcome for outcome in outcomes if not isinstance(outcome, SemscapeError)]
+    return tuple(matches for matches, _ in found), tuple(geometry for _, geometry in found), failures
+
+
+def _connected(
+    series: TiltSeries,
+    keypoints: tuple[Keypoints, ...],
+    matches: tuple[Matches, ...],
+    geometries: tuple[TwoViewGeometry, ...],
+    failures: list[str],
+) -> tuple[TiltSeries, tuple[Keypoints, ...], tuple[Matches, ...], tuple[TwoViewGeometry, ...]]:
+    """Keep the largest set of views that hang together, and name those that are left out."""
+    kept = largest_connected_set([geometry.pair for geometry in geometries], series.n_views)
+    if len(kept) < 2:
+        raise TooFewMatchesError(
+            f"no two of the {series.n_views} views show the same field of one specimen: {failures[0]}. "
+            "Check that all images belong to one series, overlap, and are tilted by at most about 10 deg a step"
+        )
+    if len(kept) == series.n_views:
+        return series, keypoints, matches, geometries
+    left_out = [name for index, name in enumerate(series.names) if index not in kept]
+    series = series.select(
+        kept, f"left out, because they match no other view: {', '.join(left_out)} (another specimen or field?)"
+    )
+    require_tilts(series)
+    return series, tuple(keypoints[i] for i in kept), *renumber(matches, geometries, kept)
+
+
+def _stream(seed: int, stage: str, *indices: int) -> np.random.Generator:
+    """Return a stage's own random stream, the same whatever the order and number of workers."""
+    return np.random.default_rng(np.random.SeedSequence([seed, zlib.crc32(stage.encode()), *indices]))
+
+
+class _Stages:
+    """Times the stages and tells the caller of each."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self.done: list[StageReport] = []
+        self._progress = progress
+
+    def __call__(self, name: str) -> _Stage:
+        return _Stage(name, self.done, self._progress)
+
+
+class _Stage:
+    def __init__(self, name: str, done: list[StageReport], progress: Progress | None) -> None:
+        self._name, self._done, self._progress = name, done, progress
+        self._figures: dict[str, Any] = {}
+
+    def __enter__(self) -> dict[str, Any]:
+        if self._progress:
+            self._progress(self._name, None)
+        self._start = time.perf_counter()
+        return self._figures
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self._done.append(StageReport(self._name, time.perf_counter() - self._start, self._figures))
+            if self._progress:
+                self._progress(self._name, self._figures)

@@ -1,0 +1,286 @@
+"""The report of a run as one self-contained HTML page: no script, no request to anywhere."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from semscape.report.figures import (
+    best_geometry,
+    height_picture,
+    hillshade_picture,
+    pair_picture,
+    tilt_picture,
+    uncertainty_picture,
+)
+from semscape.report.json import report_to_dict
+from semscape.report.markup import figure, fixed, percent, plus_minus, table, with_sigma
+from semscape.report.style import STYLE
+from semscape.report.wording import UNIT_SIGNS, Z_95, label, number, two_digits, value_text
+from semscape.types import LengthUnit, Result
+
+_VERDICTS = {"good": "good", "usable": "warn", "do not": "bad"}
+_NO_TILE = {
+    "rms_px",
+    "height_scale_relative_sigma",
+    "height_scale_relative_sigma_95",
+    "height_min",
+    "height_max",
+    "n_views",
+    "pixel_size",
+}
+
+
+def render_html(result: Result) -> str:
+    """Return the report of a run as HTML text.
+
+    Parameters
+    ----------
+    result : Result
+        What `semscape.reconstruct` returned.
+
+    Returns
+    -------
+    str
+        A page that carries its style and its pictures and asks the network for nothing.
+    """
+    report = report_to_dict(result)
+    unit: LengthUnit = result.reconstruction.length_unit
+    sections = [
+        _header(report, result),
+        _notices(report),
+        _tiles(report, result),
+        _surface(result),
+        _views(report, result, unit),
+        _pairs(report, result),
+        _run(report, unit),
+        _inputs(report["inputs"], unit),
+        _options(report),
+    ]
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        # The browser itself then refuses anything that is not in the file.
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
+        "style-src 'unsafe-inline'\">\n"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(_title(result))} · semscape</title>\n<style>\n{STYLE}</style>\n</head>\n"
+        "<body>\n<main>\n" + "\n".join(section for section in sections if section) + "\n</main>\n</body>\n</html>\n"
+    )
+
+
+def _title(result: Result) -> str:
+    names = result.series.names
+    return f"{names[0]} … {names[-1]}"
+
+
+def _header(report: Mapping[str, Any], result: Result) -> str:
+    trouble = next((kind for start, kind in _VERDICTS.items() if report["verdict"].startswith(start)), "plain")
+    height, width = result.series.shape
+    version = report["versions"].get("semscape", "")
+    return (
+        '<header>\n<p class="brand">semscape <span>reconstruction report</span></p>\n'
+        f"<h1>{escape(_title(result))}</h1>\n"
+        f'<p class="quiet">{len(report["views"])} views of {width} × {height} px · semscape {escape(str(version))} · '
+        f"seed {report['seed']}</p>\n"
+        f'<p class="verdict {trouble}">{escape(plus_minus(report["verdict"]))}</p>\n'
+        f'<p class="basis">{escape(report["ambiguity_text"])}</p>\n</header>'
+    )
+
+
+def _notices(report: Mapping[str, Any]) -> str:
+    parts = []
+    for key, title, kind in (("failures", "Failures", "bad"), ("warnings", "Warnings", "warn")):
+        if report[key]:
+            items = "".join(f"<li>{escape(plus_minus(str(text)))}</li>" for text in report[key])
+            parts.append(f'<section class="notice {kind}"><h2>{title}</h2><ul>{items}</ul></section>')
+    return "\n".join(parts)
+
+
+def _tiles(report: Mapping[str, Any], result: Result) -> str:
+    unit: LengthUnit = report["length_unit"]
+    metrics = dict(report["metrics"])
+    tilts = [view["tilt_deg"] for view in report["views"]]
+    relative = report["height_scale_relative_sigma"]
+    tiles = [
+        ("Height scale (95 %)", "unknown" if relative is None else f"±{two_digits(100 * Z_95 * relative)} %"),
+        ("Height range", _height_range(metrics, result, unit)),
+        ("Residual rms", f"{number(result.reconstruction.rms_px, 3)} px"),
+        ("Tilts", f"{min(tilts):.2f}° to {max(tilts):.2f}°"),
+    ]
+    for key, value in metrics.items():
+        if key not in _NO_TILE and not key.startswith("height_range"):
+            tiles.append((label(key), value_text(key, value, unit)))
+    items = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(text)}</dd></div>" for name, text in tiles)
+    return f'<dl class="tiles">{items}</dl>'
+
+
+def _height_range(metrics: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
+    value = next((item for key, item in metrics.items() if key.startswith("height_range")), None)
+    if isinstance(value, Sequence) and len(value) == 2 and None not in value:
+        value = value[1] - value[0]
+    if not isinstance(value, int | float):
+        known = result.height_map.height_um[np.isfinite(result.height_map.height_um)]
+        value = float(np.ptp(known)) if known.size else math.nan
+    return f"{number(value, 3)} {UNIT_SIGNS[unit]}"
+
+
+def _surface(result: Result) -> str:
+    sign = UNIT_SIGNS[result.height_map.length_unit]
+    finite = np.isfinite(result.height_map.height_um)
+    empty = "" if finite.all() else " Bluish: no data."
+    spacing = f"{number(result.height_map.pixel_size_um, 4)} {sign}"
+    rows, columns = result.height_map.height_um.shape
+    pictures = (
+        figure(
+            height_picture(result.height_map),
+            "Height map",
+            f"Heights in {sign} at zero tilt over {columns} × {rows} points, {spacing} apart.{empty}",
+        ),
+        figure(hillshade_picture(result.height_map), "Hillshade", f"Shaded relief, lit from the upper left.{empty}"),
+        figure(
+            uncertainty_picture(result.height_map),
+            "Uncertainty",
+            f"1 σ of each height.{empty}",
+        ),
+    )
+    return (
+        f'<section><h2>Surface</h2><div class="wide">{pictures[0]}</div>'
+        f'<div class="two">{pictures[1]}{pictures[2]}</div></section>'
+    )
+
+
+def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
+    sign, reference = UNIT_SIGNS[unit], report["reference_view"]
+    head = ["View", "Tilt (°)", "Stage (°)", "Roll (°)", f"Scale (px/{sign})", "Anisotropy (%)"]
+    rows = [
+        [
+            view["name"] + (" (reference)" if view["name"] == reference else ""),
+            with_sigma(view["tilt_deg"], view["tilt_sigma_deg"]),
+            number(view["stage_tilt_deg"]),
+            with_sigma(view["roll_deg"], view["roll_sigma_deg"]),
+            with_sigma(view[f"scale_px_per_{unit}"], view[f"scale_sigma_px_per_{unit}"]),
+            with_sigma(percent(view["anisotropy"]), percent(view["anisotropy_sigma"])),
+        ]
+        for view in report["views"]
+    ]
+    prior = report["options"].get("sfm", {}).get("prior_tilt_deg") or 0.0
+    picture = figure(
+        tilt_picture(result.reconstruction, result.series.names, prior),
+        "Tilts",
+        "Recovered tilts with 95 % bars; the band is the trust in the stage."
+        if result.reconstruction.tilt_source != "self-calibrated"
+        else "Recovered tilts with 95 % bars, found without the stage's tilts.",
+    )
+    axis = with_sigma(report["axis_deg"], report["axis_sigma_deg"])
+    return (
+        f"<section><h2>Tilts and scales</h2>{table(head, rows)}"
+        f'<p class="quiet">± is 1 σ. Tilt axis at {axis}° from +x, counter-clockwise. '
+        f"Tilts: {escape(report['tilt_source'])}. {escape(report['height_scale'].capitalize())}.</p>"
+        f'<div class="wide">{picture}</div></section>'
+    )
+
+
+def _pairs(report: Mapping[str, Any], result: Result) -> str:
+    head = ["Pair", "Keypoints", "Matches", "Inliers", "Share", "Tracks", "Threshold (px)", "log₁₀ NFA", "Trials"]
+    rows = []
+    for item in report["pairs"]:
+        first, second = item.get("pair", (0, 0))
+        counts = [len(result.keypoints[i]) if i < len(result.keypoints) else None for i in (first, second)]
+        matches, inliers = item.get("matches"), item.get("inliers")
+        names = item.get("names") or [result.series.names[first], result.series.names[second]]
+        rows.append(
+            [
+                " – ".join(str(name) for name in names),
+                " / ".join(number(count) for count in counts),
+                number(matches),
+                number(inliers),
+                f"{100 * inliers / matches:.0f} %" if matches and inliers is not None else "–",
+                number(item.get("tracks")),
+                fixed(item.get("threshold_px"), 2),
+                fixed(item.get("log10_nfa"), 0),
+                number(item.get("trials")),
+            ]
+        )
+    body = table(head, rows) if rows else '<p class="quiet">No pair was kept.</p>'
+    note = (
+        '<p class="quiet">The a contrario method chose each threshold: the distance to the epipolar line at which the '
+        "inliers are least likely to be chance (log₁₀ of the number of false alarms; below 0 is meaningful).</p>"
+    )
+    picture, geometry = pair_picture(result), best_geometry(result)
+    drawing = ""
+    if picture is not None and geometry is not None:
+        names = [result.series.names[i] for i in geometry.pair]
+        drawn = min(500, int(geometry.inliers.sum()))
+        caption = f"{names[0]} and {names[1]}: {drawn} of {number(int(geometry.inliers.sum()))} inliers, by parallax."
+        drawing = f'<div class="wide">{figure(picture, "Matched pair", caption)}</div>'
+    return f"<section><h2>Matches</h2>{body}{note}{drawing}</section>"
+
+
+def _run(report: Mapping[str, Any], unit: LengthUnit) -> str:
+    stages = report["stages"]
+    total = sum(stage["seconds"] or 0.0 for stage in stages)
+    longest = max((stage["seconds"] or 0.0 for stage in stages), default=0.0) or 1.0
+    rows = ""
+    for stage in stages:
+        seconds = stage["seconds"] or 0.0
+        figures = " · ".join(
+            f"{escape(label(key))} {escape(value_text(key, value, unit))}" for key, value in stage["figures"].items()
+        )
+        rows += (
+            f'<tr><th scope="row">{escape(stage["name"])}</th><td class="num">{seconds:.2f}</td>'
+            f'<td class="bar"><span style="width:{100 * seconds / longest:.1f}%"></span></td><td>{figures}</td></tr>'
+        )
+    memory = report["peak_memory_mb"]
+    peak = "" if memory is None else f" · peak memory {number(round(memory))} MB"
+    return (
+        '<section><h2>Stages</h2><div class="scroll"><table><thead><tr><th>Stage</th><th class="num">Seconds</th>'
+        f"<th></th><th>Figures</th></tr></thead><tbody>{rows}</tbody></table></div>"
+        f'<p class="quiet">{total:.1f} s in all{peak}</p></section>'
+    )
+
+
+def _inputs(inputs: Sequence[Mapping[str, Any]], unit: LengthUnit) -> str:
+    keys = list(dict.fromkeys(key for item in inputs for key in item if key not in ("digest", "source")))
+    head = [label(key) for key in keys] + ["SHA-256"]
+    rows = [[_with_source(key, item, unit) for key in keys] + [str(item.get("digest") or "–")[:16]] for item in inputs]
+    return f"<section><h2>Inputs</h2>{table(head, rows)}</section>" if inputs else ""
+
+
+def _with_source(key: str, item: Mapping[str, Any], unit: LengthUnit) -> str:
+    """Return an input's value with where it came from, "file" or "user", where that is known."""
+    value, sources = item.get(key), item.get("source") or {}
+    if value is None:
+        return "–"
+    if key == "data_bar_rows" and not value:
+        return "none"
+    source = sources.get(key) or sources.get(key.replace("_deg", "_rad"))
+    return value_text(key, value, unit) + (f" ({source})" if source else "")
+
+
+def _options(report: Mapping[str, Any]) -> str:
+    groups = "".join(
+        f"<div><h3>{escape(stage)}</h3><dl>"
+        + "".join(f"<dt>{escape(key)}</dt><dd>{escape(_option_text(value))}</dd>" for key, value in values.items())
+        + "</dl></div>"
+        for stage, values in [*report["options"].items(), ("versions", report["versions"])]
+    )
+    return (
+        f'<section><h2>Options and versions</h2><div class="options">{groups}</div>'
+        '<p class="quiet"><code>semscape reconstruct FOLDER --options options.toml</code>, with the file from this '
+        "run's folder, repeats the run.</p></section>"
+    )
+
+
+def _option_text(value: Any) -> str:
+    if value is None or value == []:
+        return "from the files"
+    if isinstance(value, list):
+        return ", ".join(_option_text(item) for item in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value)

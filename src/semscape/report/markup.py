@@ -1,0 +1,60 @@
+"""The report page's smallest parts: tables, pictures and numbers as HTML text."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterable, Sequence
+from html import escape
+
+from semscape.report.wording import number
+
+
+def figure(png: bytes, title: str, caption: str) -> str:
+    """Return a picture with its caption, the PNG's bytes inside the page."""
+    data = base64.b64encode(png).decode("ascii")
+    return (
+        f'<figure><img src="data:image/png;base64,{data}" alt="{escape(title)}">'
+        f"<figcaption><b>{escape(title)}.</b> {escape(caption)}</figcaption></figure>"
+    )
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table whose first column is text and whose other columns are figures."""
+    titles = f"<th>{escape(head[0])}</th>" + "".join(f'<th class="num">{escape(title)}</th>' for title in head[1:])
+    body = "".join(
+        f'<tr><th scope="row">{escape(row[0])}</th>'
+        + "".join(f'<td class="num">{escape(cell)}</td>' for cell in row[1:])
+        + "</tr>"
+        for row in rows
+    )
+    return f'<div class="scroll"><table><thead><tr>{titles}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def plus_minus(text: str) -> str:
+    """Return a message, written in ASCII, with its proper sign."""
+    return text.replace("+-", "±")
+
+
+def fixed(value: float | None, decimals: int) -> str:
+    """Return a number with so many decimals, for columns to be compared down the table."""
+    return "–" if value is None else f"{value:,.{decimals}f}"
+
+
+def percent(fraction: float | None) -> float | None:
+    """Return a fraction in percent, None where it is unknown."""
+    return None if fraction is None else 100 * fraction
+
+
+def with_sigma(value: float | None, sigma: float | None) -> str:
+    """Return "value ± sigma" with two digits of the sigma.
+
+    Examples
+    --------
+    >>> with_sigma(-3.02, 0.0229), with_sigma(20.02, None)
+    ('-3.020 ± 0.023', '20.02')
+    """
+    if value is None or sigma is None or sigma <= 0:
+        return number(value, 5)
+    decimals = max(0, 1 - math.floor(math.log10(sigma)))
+    return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"

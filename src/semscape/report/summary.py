@@ -1,0 +1,163 @@
+"""Assemble the report of a run from the values of its stages."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import sys
+from typing import Any
+
+import numpy as np
+
+from semscape.options import Options
+from semscape.report.wording import Z_95
+from semscape.types import (
+    HeightMap,
+    Keypoints,
+    Matches,
+    Observations,
+    Reconstruction,
+    Report,
+    StageReport,
+    TiltSeries,
+    TwoViewGeometry,
+)
+
+_PACKAGES = ("semscape", "numpy", "scipy", "opencv-contrib-python-headless", "numba", "tifffile", "trimesh")
+_GOOD_HEIGHT_SCALE, _USABLE_HEIGHT_SCALE = 0.05, 0.25
+_GOOD_RMS_PX = 0.7
+_LEAST_COMPLETENESS = 0.25
+
+
+def build_report(
+    series: TiltSeries,
+    reconstruction: Reconstruction,
+    height_map: HeightMap,
+    *,
+    stages: tuple[StageReport, ...],
+    pairs: tuple[dict[str, Any], ...],
+    keypoints: tuple[Keypoints, ...],
+    options: Options,
+    seed: int,
+    failures: tuple[str, ...],
+) -> Report:
+    """Return the report of a finished run: figures, verdict, and all that is needed to repeat it."""
+    metrics = _metrics(series, reconstruction, height_map, keypoints)
+    return Report(
+        stages=stages,
+        options=options.to_dict(),
+        seed=seed,
+        versions=_versions(),
+        inputs=_inputs(series, keypoints),
+        pairs=pairs,
+        metrics=metrics,
+        warnings=(*series.warnings, *reconstruction.warnings),
+        failures=failures,
+        verdict=_verdict(reconstruction, metrics),
+        peak_memory_mb=peak_memory_mb(),
+    )
+
+
+def pair_figures(
+    series: TiltSeries,
+    matches: tuple[Matches, ...],
+    geometries: tuple[TwoViewGeometry, ...],
+    observations: Observations,
+) -> tuple[dict[str, Any], ...]:
+    """Return per pair: matches, inliers, the threshold that the a contrario method chose, and shared tracks."""
+    seen = np.zeros((series.n_views, observations.n_points), dtype=bool)
+    seen[observations.view, observations.point] = True
+    return tuple(
+        {
+            "pair": list(found.pair),
+            "names": [series.names[index] for index in found.pair],
+            "matches": len(found),
+            "inliers": int(geometry.inliers.sum()),
+            "threshold_px": geometry.threshold_px,
+            "log10_nfa": geometry.log10_nfa,
+            "tracks": int((seen[found.pair[0]] & seen[found.pair[1]]).sum()),
+            "trials": geometry.n_trials,
+        }
+        for found, geometry in zip(matches, geometries, strict=True)
+    )
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process has held so far, in MB; NaN where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return float("nan")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def _metrics(
+    series: TiltSeries, reconstruction: Reconstruction, height_map: HeightMap, keypoints: tuple[Keypoints, ...]
+) -> dict[str, Any]:
+    observations = reconstruction.observations
+    known = np.isfinite(height_map.height_um)
+    heights = height_map.height_um[known]
+    low, high = np.percentile(heights, [0.1, 99.9]) if known.any() else (np.nan, np.nan)
+    return {
+        "n_views": series.n_views,
+        "n_keypoints": sum(len(found) for found in keypoints),
+        "n_points": observations.n_points,
+        "n_observations": len(observations.view),
+        "mean_track_length": len(observations.view) / max(observations.n_points, 1),
+        "rms_px": reconstruction.rms_px,
+        "height_scale_relative_sigma": reconstruction.height_scale_relative_sigma,
+        "height_scale_relative_sigma_95": Z_95 * reconstruction.height_scale_relative_sigma,
+        "height_range": float(high - low),
+        "height_min": float(low),
+        "height_max": float(high),
+        "completeness": float(known.mean()),
+        "median_uncertainty": float(np.median(height_map.uncertainty_um[known])) if known.any() else np.nan,
+        "pixel_size": height_map.pixel_size_um,
+    }
+
+
+def _verdict(reconstruction: Reconstruction, metrics: dict[str, Any]) -> str:
+    """Say in plain words what the result may be used for."""
+    scale = Z_95 * reconstruction.height_scale_relative_sigma
+    if scale > _USABLE_HEIGHT_SCALE:
+        return (
+            f"do not measure: the height scale is known to +-{scale:.0%} (95 %) only; shape and proportions in the "
+            "image plane are right, heights are not"
+        )
+    if metrics["completeness"] < _LEAST_COMPLETENESS:
+        return f"do not measure: heights are known on {metrics['completeness']:.0%} of the field only"
+    if reconstruction.ambiguity != "none":
+        return (
+            f"usable: heights to +-{scale:.0%} (95 %) from self-calibrated tilts, and the sign of the relief is "
+            "assumed from its shading; stage tilts would settle both"
+        )
+    if scale > _GOOD_HEIGHT_SCALE or reconstruction.rms_px > _GOOD_RMS_PX:
+        return f"usable: heights to +-{scale:.1%} (95 %), residual {reconstruction.rms_px:.2f} px rms"
+    return f"good: heights to +-{scale:.1%} (95 %), residual {reconstruction.rms_px:.2f} px rms"
+
+
+def _inputs(series: TiltSeries, keypoints: tuple[Keypoints, ...]) -> tuple[dict[str, Any], ...]:
+    return tuple(
+        {
+            "name": view.name,
+            "digest": view.digest,
+            "vendor": view.metadata.vendor,
+            "pixel_size_um": view.metadata.pixel_size_um,
+            "tilt_deg": float(np.rad2deg(view.metadata.tilt_rad)),
+            "data_bar_rows": int((~view.mask.any(axis=1)).sum()),
+            "keypoints": len(found),
+            "source": dict(view.metadata.source),
+        }
+        for view, found in zip(series.views, keypoints, strict=True)
+    )
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            versions[package] = "unknown"
+    return versions

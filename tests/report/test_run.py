@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from semscape.errors import BadInputError
+from semscape.io.run_folder import RUN_FILES
+from semscape.report import report_to_dict, write_run
+from synthetic_result import make_result, with_report
+
+RESULT = make_result()
+
+
+def test_write_run_writes_the_whole_contract_and_may_be_repeated(tmp_path) -> None:
+    folder = write_run(RESULT, tmp_path / "run")
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert set(first) == set(RUN_FILES)
+    write_run(RESULT, folder)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
+
+
+def test_write_run_refuses_a_foreign_folder(tmp_path) -> None:
+    (tmp_path / "notes.txt").write_text("")
+    with pytest.raises(BadInputError, match=r"notes\.txt"):
+        write_run(RESULT, tmp_path)
+
+
+def test_the_report_is_strict_json_with_every_table() -> None:
+    report = json.loads(json.dumps(report_to_dict(RESULT), allow_nan=False))
+    assert report["views"][2]["tilt_deg"] == pytest.approx(2.99)
+    assert report["views"][2]["scale_sigma_px_per_um"] == pytest.approx(0.9993 / 0.05 * 3e-4)
+    assert report["height_scale"] == "height scale ±1.1 % (95 %)"
+    assert report["pairs"][0]["threshold_px"] == 0.83
+    assert [stage["name"] for stage in report["stages"]] == ["detect", "match", "robust", "sfm", "dense"]
+    for key in ("metrics", "warnings", "failures", "options", "seed", "versions", "inputs", "verdict", "length_unit"):
+        assert key in report
+
+
+def test_numpy_values_in_a_report_are_plain_in_json() -> None:
+    report = report_to_dict(with_report(RESULT, metrics={"a": np.float64(1.5), "b": np.arange(2), "c": np.nan}))
+    assert report["metrics"] == {"a": 1.5, "b": [0, 1], "c": None}
