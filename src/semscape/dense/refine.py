@@ -20,14 +20,14 @@ from semscape.types import BoolArray, FloatArray, ImageArray, Micrograph
 
 # Windows from narrow to wide, in units of the narrowest; a pixel keeps the narrowest one whose disparity is sharp
 # to the limit beside it, px.
-_WINDOW_SCALES = (1.0, 1.8, 3.2)
+_WINDOW_SCALES = (1.0, 1.6, 2.6)
 _SHARP_PX = (0.3, 0.3, 0.5)
-_DETAIL_SHARE = 1.0
+_DETAIL_SHARE = 0.5
 _MAX_STEP_PX = 0.5
 _MAX_TOTAL_PX = 3.0
 _LEAST_CORRELATION = 0.3
 _FULL_CORRELATION = 0.7
-_PRESMOOTH_PX = 0.7
+_PRESMOOTH_PX = 0.5
 _FULL_RESOLUTION_SIGMA_PX = 4.0
 _NORMALIZING_SIGMA_PX = 3.0
 _PAIR_INFLATION = 4.0

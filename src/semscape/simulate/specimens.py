@@ -126,7 +126,7 @@ def fracture(size: SpecimenSize, rng: np.random.Generator) -> Specimen:
     height -= 0.6 * _dimples(size, 0.04, rng)
     height -= 0.4 * _dimples(size, 0.012, rng)
     height += _roughness(size, 0.0006 * size.field_um, 0.03 * size.field_um, rng)
-    return _specimen("fracture", height, size, rng, 0.5)
+    return _specimen("fracture", 0.8 * height, size, rng, 0.5)
 
 
 def _dimples(size: SpecimenSize, radius: float, rng: np.random.Generator) -> FloatArray:
