@@ -72,7 +72,7 @@ class DenseOptions:
     penalty_small: float = 4.0
     penalty_large: float = 24.0
     left_right_limit_px: float = 1.0
-    refine_sigma_px: float = 2.5
+    refine_sigma_px: float = 3.0
     refine_iterations: int = 3
     mesh_max_vertices: int = 400_000
 

@@ -12,7 +12,7 @@ _DISPARITY_NOISE_PX = 0.5
 _AGREEMENT_IN_SIGMAS = 3.0
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def to_zero_tilt(height_px: FloatArray, parallax: float) -> FloatArray:
     """Move heights (H, W), known at the pixels of a tilted view, to the grid at zero tilt.
 

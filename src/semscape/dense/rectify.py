@@ -74,7 +74,7 @@ def warp_to_frame(view: Micrograph, index: int, motion: Motion, frame: Frame) ->
 def view_from_frame_map(index: int, motion: Motion, frame: Frame) -> FloatArray:
     """Return the affine map (2, 3) from frame (u, v, 1) to view px at height zero."""
     matrix = camera_matrices(motion)[index]
-    affine = matrix[:, :2] @ frame.world_from_frame
+    affine: FloatArray = matrix[:, :2] @ frame.world_from_frame
     affine[:, 2] += motion.translation_px[index]
     return affine
 

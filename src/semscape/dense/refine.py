@@ -15,21 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.dense.smooth import local_plane_heights
+from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.options import DenseOptions
 from semscape.types import BoolArray, FloatArray, ImageArray, Micrograph
 
 # Windows from narrow to wide, in units of the narrowest; a pixel keeps the narrowest one whose disparity is sharp
 # to the limit beside it, px.
-_WINDOW_SCALES = (1.0, 1.6, 2.6)
-_SHARP_PX = (0.3, 0.3, 0.5)
+_WINDOW_SCALES = (1.0, 1.8, 3.2)
+_SHARP_PX = (0.4, 0.4, 0.5)
 _DETAIL_SHARE = 0.5
 _MAX_STEP_PX = 0.5
-_MAX_TOTAL_PX = 3.0
+_MAX_TOTAL_PX = 1.0
+_START_NOISE_PX = 0.6
+_MEDIAN_PX = 5
+_ISLAND_AREA_PX = 200
 _LEAST_CORRELATION = 0.3
 _FULL_CORRELATION = 0.7
+# Blur of the images, for the narrowest window; it grows with the window, for white noise falls with it.
 _PRESMOOTH_PX = 0.5
 _FULL_RESOLUTION_SIGMA_PX = 4.0
-_NORMALIZING_SIGMA_PX = 3.0
+# Gain and offset are taken out over this neighbourhood: shading that changes with tilt is smooth beside texture.
+_NORMALIZING_SIGMA_PX = 2.5
 _PAIR_INFLATION = 4.0
 
 
@@ -68,22 +74,25 @@ def refine_heights(
     Lucas & Kanade 1981 (IJCAI); Furukawa & Ponce 2010, doi:10.1109/TPAMI.2009.161.
     """
     known = np.isfinite(height)
-    start = np.where(known, height, np.nanmean(height) if known.any() else 0.0)
+    start = filled_from_nearest(height)
     direction, parallax = _parallax(px_per_height)
     baseline = float(np.ptp(parallax))
     limit = _MAX_STEP_PX / baseline
-    samplers = [
-        _ViewSampler(view, view_from_grid[i], px_per_height[i], direction, height.shape) for i, view in enumerate(views)
-    ]
     chosen = np.full(height.shape, np.nan)
     variance = np.full(height.shape, np.nan)
     n_views = np.zeros(height.shape)
+    at_start = np.zeros(height.shape)
     narrower: FloatArray | None = None
     current = start
     for scale, sharp_px in zip(_WINDOW_SCALES, _SHARP_PX, strict=True):
-        sigma_px = scale * options.refine_sigma_px
+        sigma_px, normalizing_px = scale * options.refine_sigma_px, scale * _NORMALIZING_SIGMA_PX
+        samplers = [
+            _ViewSampler(view, view_from_grid[i], px_per_height[i], direction, height.shape, scale * _PRESMOOTH_PX)
+            for i, view in enumerate(views)
+        ]
+        at_start = np.maximum(at_start, _compare(start, known, samplers, parallax, sigma_px, normalizing_px).n_views)
         for _ in range(options.refine_iterations):
-            state = _compare(current, known, samplers, parallax, sigma_px)
+            state = _compare(current, known, samplers, parallax, sigma_px, normalizing_px)
             current = np.where(known, np.clip(state.height, current - limit, current + limit), start)
         take = known & np.isnan(chosen) & (state.n_views >= 2) & (np.sqrt(state.variance) * baseline <= sharp_px)
         take &= np.abs(current - start) * baseline <= _MAX_TOTAL_PX
@@ -95,8 +104,17 @@ def refine_heights(
         narrower = current
         chosen, variance = np.where(take, current, chosen), np.where(take, state.variance, variance)
         n_views = np.where(take, state.n_views, n_views)
+    # At depth jumps a window holds two surfaces and its plane neither; there the pairs' own answer stands, if the
+    # views agree on it.
+    stays = known & np.isnan(chosen) & (at_start >= 2)
+    median = cv2.medianBlur(start.astype(np.float32), _MEDIAN_PX).astype(np.float64)
+    chosen, n_views = np.where(stays, median, chosen), np.where(stays, at_start, n_views)
+    variance = np.where(stays, (_START_NOISE_PX / baseline) ** 2, variance)
+    chosen = without_speckles(chosen * baseline, _ISLAND_AREA_PX) / baseline
     found = np.isfinite(chosen)
-    return RefinedHeights(chosen, np.where(found, np.sqrt(variance), np.nan), np.where(found, n_views, 0).astype(np.uint8))
+    return RefinedHeights(
+        chosen, np.where(found, np.sqrt(variance), np.nan), np.where(found, n_views, 0).astype(np.uint8)
+    )
 
 
 @dataclass(frozen=True)
@@ -116,8 +134,9 @@ class _ViewSampler:
         px_per_height: FloatArray,
         direction: FloatArray,
         shape: tuple[int, int],
+        presmooth_px: float,
     ) -> None:
-        smooth = cv2.GaussianBlur(view.image, (0, 0), _PRESMOOTH_PX)
+        smooth = cv2.GaussianBlur(view.image, (0, 0), presmooth_px)
         along = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32) * np.float32(direction[0])
         along += cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32) * np.float32(direction[1])
         self.image, self.along = smooth, along
@@ -146,7 +165,12 @@ def _parallax(px_per_height: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _compare(
-    height: FloatArray, known: BoolArray, samplers: list[_ViewSampler], parallax: FloatArray, sigma_px: float
+    height: FloatArray,
+    known: BoolArray,
+    samplers: list[_ViewSampler],
+    parallax: FloatArray,
+    sigma_px: float,
+    normalizing_px: float,
 ) -> _Comparison:
     """Linearize the disagreement of the views about the current heights."""
     count = len(samplers)
@@ -154,7 +178,6 @@ def _compare(
     slopes = np.empty_like(values)
     weights = np.empty_like(values)
     surface = known.astype(np.float32)
-    normalizing_px = max(sigma_px, _NORMALIZING_SIGMA_PX)
     for i, sampler in enumerate(samplers):
         value, slope, inside = sampler.sample(height)
         weight = inside * surface
@@ -227,9 +250,12 @@ def _weigh_by_agreement(
 
 
 def _window(values: ImageArray, sigma_px: float) -> ImageArray:
+    blurred: ImageArray
     if sigma_px <= _FULL_RESOLUTION_SIGMA_PX:
-        return cv2.GaussianBlur(values, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
+        blurred = cv2.GaussianBlur(values, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
+        return blurred
     # A wide Gaussian holds no fine detail: blur the image at half its size.
     height, width = values.shape
     half = cv2.resize(values, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
-    return cv2.resize(_window(half, sigma_px / 2), (width, height), interpolation=cv2.INTER_LINEAR)
+    blurred = cv2.resize(_window(half, sigma_px / 2), (width, height), interpolation=cv2.INTER_LINEAR)
+    return blurred

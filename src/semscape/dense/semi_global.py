@@ -20,7 +20,7 @@ _UNKNOWN_COST = 24
 _FAR = np.float32(1e6)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def census(image: ImageArray, radius: int) -> CensusArray:
     """Return for each pixel of (H, W) the bits "neighbour is darker" over its (2 radius + 1)^2 window, radius <= 3."""
     height, width = image.shape
@@ -78,7 +78,7 @@ def match_rows(
     return disparity
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _matching_cost(
     census1: CensusArray,
     valid1: BoolArray,
@@ -105,7 +105,7 @@ def _matching_cost(
                 cost[row, col, k] = (x * ones) >> np.uint64(56)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _aggregate(
     cost: NDArray[np.uint8],
     start: NDArray[np.int32],
@@ -161,7 +161,7 @@ def _aggregate(
         above_least, here_least = here_least, above_least
 
 
-@njit(cache=True, nogil=True, inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, inline="always")
 def _begin(cost: NDArray[np.uint8], path: NDArray[np.float32], total: NDArray[np.uint16]) -> np.float32:
     least = _FAR
     for k in range(len(cost)):
@@ -172,7 +172,7 @@ def _begin(cost: NDArray[np.uint8], path: NDArray[np.float32], total: NDArray[np
     return least
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _extend(
     cost: NDArray[np.uint8],
     before: NDArray[np.float32],
@@ -208,7 +208,7 @@ def _extend(
     return least
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _winner(total: NDArray[np.uint16], start: NDArray[np.int32], valid: BoolArray, disparity: FloatArray) -> None:
     height, width, n = total.shape
     for row in range(height):

@@ -45,7 +45,8 @@ def local_plane_heights(weight: ImageArray, weighted: ImageArray, sigma_px: floa
     g1, g2 = x * g0, x * x * g0
 
     def moment(image: ImageArray, along_x: FloatArray, along_y: FloatArray) -> ImageArray:
-        return cv2.sepFilter2D(image, cv2.CV_32F, along_x, along_y, borderType=cv2.BORDER_CONSTANT)
+        filtered: ImageArray = cv2.sepFilter2D(image, cv2.CV_32F, along_x, along_y, borderType=cv2.BORDER_CONSTANT)
+        return filtered
 
     m00, m10, m01 = moment(weight, g0, g0), moment(weight, g1, g0), moment(weight, g0, g1)
     m20, m11, m02 = moment(weight, g2, g0), moment(weight, g1, g1), moment(weight, g0, g2)
@@ -55,4 +56,5 @@ def local_plane_heights(weight: ImageArray, weighted: ImageArray, sigma_px: floa
     m20, m02 = m20 + ridge, m02 + ridge
     c00, c01, c02 = m20 * m02 - m11 * m11, m01 * m11 - m10 * m02, m10 * m11 - m01 * m20
     determinant = np.maximum(m00 * c00 + m10 * c01 + m01 * c02, 1e-30)
-    return ((c00 * h00 + c01 * h10 + c02 * h01) / determinant).astype(np.float64)
+    height: FloatArray = ((c00 * h00 + c01 * h10 + c02 * h01) / determinant).astype(np.float64)
+    return height

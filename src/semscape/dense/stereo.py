@@ -101,6 +101,16 @@ def without_speckles(disparity: FloatArray, area_px: int) -> FloatArray:
     return np.where(steps == -30000, np.nan, disparity)
 
 
+def filled_from_nearest(values: FloatArray) -> FloatArray:
+    """Return (H, W) values with every NaN replaced by the nearest known value; 0 where none is known."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.zeros_like(values)
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    filled: FloatArray = values[tuple(nearest)]
+    return filled
+
+
 def _pyramid(view: RectifiedView, range_px: float) -> list[tuple[ImageArray, BoolArray]]:
     """Halve the view until the whole disparity range is short or the image small."""
     levels = [(np.ascontiguousarray(view.image), np.ascontiguousarray(view.valid))]
@@ -121,15 +131,11 @@ def _finer_start(coarse: FloatArray, n_disparities: int) -> NDArray[np.int32]:
     Where the neighbourhood spans a depth jump that still fits the range, the range is laid across it, so that
     fine structures beside the jump are not lost; unknown pixels take the nearest known value.
     """
-    known = np.isfinite(coarse)
-    if not known.any():
-        filled = np.zeros_like(coarse)
-    else:
-        nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-        filled = coarse[tuple(nearest)]
+    filled = filled_from_nearest(coarse)
     filled = cv2.medianBlur(filled.astype(np.float32), 5).astype(np.float64)
     low, high = minimum_filter(filled, 5), maximum_filter(filled, 5)
     fits = 2 * (high - low) < n_disparities - 6
     middle = np.where(fits, (low + high) / 2, filled)
     fine = np.repeat(np.repeat(2 * middle, 2, axis=0), 2, axis=1)
-    return (np.rint(fine) - n_disparities // 2).astype(np.int32)
+    start: NDArray[np.int32] = (np.rint(fine) - n_disparities // 2).astype(np.int32)
+    return start

@@ -17,7 +17,7 @@ from semscape.dense.stereo import RectifiedView, pair_heights
 from semscape.errors import DegenerateGeometryError
 from semscape.geometry.cameras import camera_matrices
 from semscape.options import DenseOptions
-from semscape.types import FloatArray, HeightMap, Reconstruction, TiltSeries
+from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, TiltSeries
 
 Mapper = Callable[[Callable[..., FloatArray], Iterable[tuple[int, int]]], Iterable[FloatArray]]
 
@@ -166,7 +166,7 @@ def _texture(
     height_px: FloatArray,
     view_from_grid: FloatArray,
     px_per_height: FloatArray,
-) -> FloatArray:
+) -> ImageArray:
     """Return the reference micrograph as seen on the surface, NaN where the surface is unknown."""
     reference = reconstruction.reference
     rows, cols = np.indices(height_px.shape, dtype=np.float64)

@@ -78,11 +78,12 @@ def normalize_contrast(image: ImageArray, mask: BoolArray, sigma_px: float) -> N
     spread = np.sqrt(np.maximum(variance, 0))
     floor = 0.2 * float(np.median(spread[mask])) if mask.any() else 0.0
     scaled = 128.0 + 40.0 * deviation / np.maximum(spread, max(floor, 1e-6))
-    return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+    grey: NDArray[np.uint8] = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+    return grey
 
 
 def _detect_sift(image: NDArray[np.uint8], mask: BoolArray, options: FeaturesOptions) -> Keypoints:
-    sift = cv2.SIFT_create(
+    sift = cv2.SIFT_create(  # type: ignore[attr-defined]
         nfeatures=0, contrastThreshold=options.contrast_threshold, edgeThreshold=10.0, enable_precise_upscale=True
     )
     found, descriptors = sift.detectAndCompute(image, mask.astype(np.uint8))
@@ -118,7 +119,8 @@ def root_sift(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
     [[886.0, 512.0, 0.0]]
     """
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)
-    return np.rint(DESCRIPTOR_LEVELS * np.sqrt(descriptors / total)).astype(np.float32)
+    levels: NDArray[np.float32] = np.rint(DESCRIPTOR_LEVELS * np.sqrt(descriptors / total)).astype(np.float32)
+    return levels
 
 
 def _clear_of_mask(xy: FloatArray, scale_px: FloatArray, mask: BoolArray) -> BoolArray:

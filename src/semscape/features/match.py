@@ -79,7 +79,7 @@ def two_nearest(
     return nearest, squared.astype(np.float64), second_squared.astype(np.float64), back
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _update_nearest(
     products: NDArray[np.float32],
     start: int,

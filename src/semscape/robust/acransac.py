@@ -149,7 +149,7 @@ def _draw_samples(rng: np.random.Generator, n: int, n_trials: int) -> IntArray:
         samples[repeated] = rng.integers(0, n, (int(repeated.sum()), SAMPLE_SIZE))
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _least_nfa(ordered_residual: FloatArray, table: FloatArray, log_alpha0: float) -> tuple[float, int]:
     best, best_k = np.inf, SAMPLE_SIZE + 1
     for k in range(SAMPLE_SIZE + 1, len(ordered_residual) + 1):
@@ -160,7 +160,7 @@ def _least_nfa(ordered_residual: FloatArray, table: FloatArray, log_alpha0: floa
     return best, best_k
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _search(
     w: FloatArray,
     samples: IntArray,

@@ -53,7 +53,7 @@ def spans_hyperplane(w: FloatArray, inliers: BoolArray) -> bool:
     return bool(values[1] > 1e-6 * values[3] and values[1] > 4 * values[0])
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def hyperplane_of_four(w: FloatArray, i0: int, i1: int, i2: int, i3: int, out: FloatArray) -> bool:
     """Write the hyperplane through four matches to `out` (5,); False when they are degenerate."""
     a0, a1, a2, a3 = w[i1, 0] - w[i0, 0], w[i1, 1] - w[i0, 1], w[i1, 2] - w[i0, 2], w[i1, 3] - w[i0, 3]

@@ -97,7 +97,8 @@ def adjust(
         if np.abs(problem.scaled(parameters - start)).max() < _REWEIGHTING_TOLERANCE:
             break
     parameters, cost, steps = problem.minimize(parameters, information, max_steps=200)
-    covariance = np.linalg.inv(problem.normal_equations(parameters, information).hessian)
+    hessian = problem.normal_equations(parameters, information).hessian
+    covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
     residual = problem.residuals(parameters, weights)
     points, points_covariance = problem.points_with_covariance(parameters, information, covariance)
     return Adjustment(
@@ -182,9 +183,10 @@ class _Problem:
             steps += 1
             diagonal = np.diag(equations.hessian)
             try:
-                step = np.linalg.solve(equations.hessian + damping * np.diag(diagonal), equations.gradient)
+                solution = np.linalg.solve(equations.hessian + damping * np.diag(diagonal), equations.gradient)
             except np.linalg.LinAlgError as error:
                 raise DegenerateGeometryError("the tracks do not determine the motion of the series") from error
+            step = np.asarray(solution, dtype=np.float64)
             candidate = self.normal_equations(parameters + step, weights)
             if candidate.cost <= equations.cost:
                 gain = equations.cost - candidate.cost
@@ -306,7 +308,7 @@ def _cross_matrix(v: FloatArray) -> FloatArray:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _symmetric_inverse(m: FloatArray) -> FloatArray:
     inverse = np.empty((3, 3))
     inverse[0, 0] = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
@@ -315,10 +317,12 @@ def _symmetric_inverse(m: FloatArray) -> FloatArray:
     inverse[1, 1] = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
     inverse[1, 2] = inverse[2, 1] = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
     inverse[2, 2] = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
-    return inverse / (m[0, 0] * inverse[0, 0] + m[0, 1] * inverse[0, 1] + m[0, 2] * inverse[0, 2])
+    determinant = m[0, 0] * inverse[0, 0] + m[0, 1] * inverse[0, 1] + m[0, 2] * inverse[0, 2]
+    scaled: FloatArray = inverse / determinant
+    return scaled
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _accumulate(
     start: IntArray,
     view: IntArray,

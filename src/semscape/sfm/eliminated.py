@@ -94,7 +94,7 @@ def eliminated_cost(matrices: FloatArray, patterns: PatternScatters) -> FloatArr
     return cost
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _eliminated_cost(
     matrices: FloatArray, views: IntArray, n_views: IntArray, scatter: FloatArray, cost: FloatArray
 ) -> None:

@@ -115,18 +115,18 @@ def fracture(size: SpecimenSize, rng: np.random.Generator) -> Specimen:
     doi:10.1038/308721a0: the Hurst exponent is near 0.8.
     """
     cells = size.field_um / size.pitch_um
-    height = 0.026 * size.field_um * fractal_field(size.shape, 1.15, 0.6 * cells, 24.0, rng)
-    for step in (0.05, 0.03):
+    height = 0.06 * size.field_um * fractal_field(size.shape, 1.4, 0.9 * cells, 24.0, rng)
+    for step in (0.04, 0.025):
         front = fractal_field(size.shape, 1.4, 0.4 * cells, 12.0, rng) - rng.uniform(-0.6, 0.6)
         # The front is a few nodes wide: a wall, not a jump.
         steepness = np.hypot(*np.gradient(ndimage.gaussian_filter(front, 3.0)))
         # It dies out along its length, as a crack that meets no other.
         throw = np.clip(fractal_field(size.shape, 1.6, 0.5 * cells, 12.0, rng), -1.0, 1.0)
         height += 0.5 * step * size.field_um * throw * np.tanh(front / (2.5 * steepness + 1e-4))
-    height -= 0.6 * _dimples(size, 0.04, rng)
-    height -= 0.4 * _dimples(size, 0.012, rng)
-    height += _roughness(size, 0.0006 * size.field_um, 0.03 * size.field_um, rng)
-    return _specimen("fracture", 0.8 * height, size, rng, 0.5)
+    height -= 0.4 * _dimples(size, 0.04, rng)
+    height -= 0.25 * _dimples(size, 0.012, rng)
+    height += _roughness(size, 0.0004 * size.field_um, 0.03 * size.field_um, rng)
+    return _specimen("fracture", height, size, rng, 0.5)
 
 
 def _dimples(size: SpecimenSize, radius: float, rng: np.random.Generator) -> FloatArray:

@@ -1,0 +1,57 @@
+# Everything runs in .venv, which `make setup` builds. Nothing else is needed but python3 >= 3.11 with venv.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/setup-done
+CODE := src tests benchmarks examples
+
+.PHONY: help setup demo test lint accuracy benchmark docs-pictures clean
+
+help:
+	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
+	@echo "make test           the whole test suite"
+	@echo "make setup          only build .venv (the others do so where it is needed)"
+	@echo "make lint           style and types"
+	@echo "make accuracy       accuracy on real and simulated series, as JSON"
+	@echo "make benchmark      seconds per stage and peak memory, as JSON"
+	@echo "make docs-pictures  draw the pictures of docs/ again"
+	@echo "make clean          remove .venv, caches and the demo"
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "semscape needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1)." \
+		"Name another one: make PYTHON=python3.12 $(or $(MAKECMDGOALS),setup)" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+		{ echo "$(PYTHON) comes without venv; install it (on Debian and Ubuntu: apt install python3-venv)" >&2; exit 1; }
+	@echo "setting up $(VENV) (once; a few minutes)"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@touch $(STAMP)
+
+demo: $(STAMP)
+	@$(BIN)/semscape demo --output demo
+
+test: $(STAMP)
+	@$(BIN)/python -m pytest
+
+lint: $(STAMP)
+	@$(BIN)/ruff check $(CODE)
+	@$(BIN)/ruff format --check $(CODE)
+	@$(BIN)/mypy
+
+accuracy: $(STAMP)
+	@$(BIN)/python benchmarks/accuracy.py
+
+benchmark: $(STAMP)
+	@$(BIN)/python benchmarks/speed.py
+
+docs-pictures: $(STAMP)
+	@$(BIN)/python benchmarks/docs_pictures.py
+
+clean:
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist demo
+	find src tests benchmarks examples -depth -name __pycache__ -exec rm -rf {} +
+	find src -depth -name '*.egg-info' -exec rm -rf {} +

@@ -1,0 +1,89 @@
+"""Draw the pictures of docs/ (`make docs-pictures`): hillshades of the measured series, and the one of the README.
+
+Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+import semscape
+from isolated import REAL_SETS, REPOSITORY, absent, real_set_folder
+from semscape.report.figures import hillshade_picture
+from semscape.report.hillshade import hillshade
+from semscape.simulate import PRESETS, simulate
+from semscape.types import Result
+
+PICTURES = REPOSITORY / "docs" / "pictures"
+_LARGEST_BYTES = 500_000
+_README_SPECIMEN = "pollen"
+
+
+def draw_real(name: str) -> bytes:
+    """Return the hillshade of a measured series, reconstructed without any option."""
+    return hillshade_picture(semscape.reconstruct(semscape.load_series(real_set_folder(name)), rng=0).height_map)
+
+
+def draw_readme() -> bytes:
+    """Return micrograph, shaded relief and height map of a simulated series side by side."""
+    series, _ = simulate(_README_SPECIMEN, PRESETS["nominal"], rng=0)
+    return _side_by_side(semscape.reconstruct(series, rng=0))
+
+
+def _side_by_side(result: Result) -> bytes:
+    import io
+
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height_map = result.height_map
+    reference = result.reconstruction.reference
+    view = result.series.views[reference]
+    rows, cols = height_map.height_um.shape
+    extent = (0.0, cols * height_map.pixel_size_um, rows * height_map.pixel_size_um, 0.0)
+    shade = hillshade(height_map.height_um, height_map.pixel_size_um)
+    low, high = np.nanpercentile(height_map.height_um, [0.2, 99.8])
+    tilts = ", ".join(f"{tilt:+.1f}" for tilt in np.rad2deg(result.reconstruction.motion.tilt_rad))
+
+    figure = Figure(figsize=(12, 4.35), dpi=75, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, 3)
+    panels[0].imshow(view.image, cmap="gray", extent=extent)
+    panels[0].set_title(f"one of {result.series.n_views} micrographs (tilts {tilts} deg)", fontsize=9)
+    panels[1].imshow(np.ma.masked_invalid(shade), cmap="gray", vmin=0, vmax=1, extent=extent)
+    panels[1].set_title("the surface, lit from the upper left", fontsize=9)
+    heights = panels[2].imshow(
+        np.ma.masked_invalid(height_map.height_um - low), cmap="viridis", vmin=0, vmax=high - low, extent=extent
+    )
+    sigma = 100 * 1.96 * result.reconstruction.height_scale_relative_sigma
+    panels[2].set_title(f"heights (um), height scale +-{sigma:.1f} % (95 %)", fontsize=9)
+    figure.colorbar(heights, ax=panels[2], fraction=0.046, pad=0.02)
+    for panel in panels:
+        panel.set_facecolor("#c8d4e6")
+        panel.tick_params(labelsize=8)
+        panel.set_xlabel("um", fontsize=8)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def main(names: list[str]) -> None:
+    """Draw the pictures that are named, or all."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for name in names or (*REAL_SETS, "readme"):
+        reason = absent(name) if name in REAL_SETS else None
+        if reason:
+            print(f"{name}: skipped, {reason}", file=sys.stderr)
+            continue
+        path = PICTURES / ("readme.png" if name == "readme" else f"hillshade_{name}.png")
+        picture = draw_readme() if name == "readme" else draw_real(name)
+        if len(picture) > _LARGEST_BYTES:
+            raise SystemExit(f"{path.name} has {len(picture)} bytes, more than {_LARGEST_BYTES}")
+        path.write_bytes(picture)
+        print(f"{path.relative_to(REPOSITORY)}: {len(picture) // 1000} kB")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

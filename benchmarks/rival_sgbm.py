@@ -1,0 +1,64 @@
+"""The rival: OpenCV's StereoSGBM on the widest pair, rectified and triangulated with our own cameras.
+
+It gets everything but the matching for free: our calibration, our rectified frame and our height range. So the
+difference to ours is that of the dense stage alone: all views, fusion and refinement against one pair.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from semscape.dense.fuse import to_zero_tilt
+from semscape.dense.rectify import rectified_frame, warp_to_frame
+from semscape.dense.surface import _height_range_px, _resample
+from semscape.types import FloatArray, HeightMap, ImageArray, Result
+
+_BLOCK_PX = 7
+_MARGIN_PX = 4
+_SUBPIXEL_STEPS = 16
+
+
+def sgbm_height_map(result: Result) -> HeightMap:
+    """Return the height map that StereoSGBM (mode HH, block 7) makes from the two extreme views of a result."""
+    series, reconstruction = result.series, result.reconstruction
+    frame = rectified_frame(series, reconstruction)
+    first, last = int(np.argmin(frame.parallax)), int(np.argmax(frame.parallax))
+    warped = [warp_to_frame(series.views[i], i, reconstruction.motion, frame) for i in (first, last)]
+    images = [_to_bytes(image, valid) for image, valid in warped]
+    baseline = float(frame.parallax[last] - frame.parallax[first])
+
+    # A height h is seen at u + h g, so OpenCV's disparity u1 - u2 is -h baseline.
+    low, high = (height * baseline for height in _height_range_px(reconstruction, frame))
+    least = int(np.floor(-high)) - _MARGIN_PX
+    count = int(np.ceil((high - low + 2 * _MARGIN_PX) / _SUBPIXEL_STEPS)) * _SUBPIXEL_STEPS
+    matcher = cv2.StereoSGBM_create(
+        minDisparity=least,
+        numDisparities=count,
+        blockSize=_BLOCK_PX,
+        P1=8 * _BLOCK_PX**2,
+        P2=32 * _BLOCK_PX**2,
+        disp12MaxDiff=1,
+        uniquenessRatio=5,
+        speckleWindowSize=60,
+        speckleRange=2,
+        mode=cv2.STEREO_SGBM_MODE_HH,
+    )
+    disparity = matcher.compute(*images).astype(np.float64) / _SUBPIXEL_STEPS
+    disparity[(disparity < least) | ~warped[0][1]] = np.nan
+    at_zero_tilt = to_zero_tilt(-disparity / baseline, float(frame.parallax[first]))
+
+    ours = result.height_map
+    height = _resample(at_zero_tilt, frame, ours.world_from_grid, series.shape) * frame.pixel_size_um
+    return replace(ours, height_um=height, uncertainty_um=np.full(height.shape, np.nan))
+
+
+def _to_bytes(image: ImageArray, valid: np.ndarray) -> FloatArray:
+    """Return an image as uint8, its range stretched where it is wider or narrower than eight bits."""
+    low, high = float(image[valid].min()), float(image[valid].max())
+    if low < 0 or high > 255 or high < 64:
+        low, high = np.percentile(image[valid], [0.1, 99.9])
+        image = (image - low) * (255 / (high - low))
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)

@@ -1,0 +1,307 @@
+"""Calibration of synthetic tracks of known motion: with stage tilts, from the images alone, and where it cannot be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semscape.errors import BadInputError, DegenerateGeometryError, TooFewMatchesError
+from semscape.options import SfmOptions
+from semscape.sfm.calibrate import Calibration, calibrate, require_tilts, shared_points
+from semscape.sfm.relief import relief_vote
+from semscape.types import Observations
+from synthetic_tracks import PIXEL_UM, SIZE_PX, Tracks, make_tracks, relief_px
+
+OPTIONS = SfmOptions()
+TILTS = (-8.0, -4.0, 0.0, 4.0, 8.0)
+
+
+def solve(tracks: Tracks, options: SfmOptions = OPTIONS, seed: int = 0) -> Calibration:
+    return calibrate(tracks.series, tracks.observations, options, rng=np.random.default_rng(seed))
+
+
+def true_points(found: Calibration, tracks: Tracks) -> np.ndarray:
+    """Return the true point (P, 3) of each recovered one: calibration may have dropped some tracks."""
+    kept = found.reconstruction.observations
+    point_of = dict(zip(map(tuple, tracks.observations.xy.tolist()), tracks.observations.point.tolist(), strict=True))
+    original = np.array([point_of[tuple(xy)] for xy in kept.xy.tolist()])
+    first = np.unique(kept.point, return_index=True)[1]
+    return tracks.points_um[original[first]]
+
+
+def height_scale(found: Calibration, tracks: Tracks) -> float:
+    """Return the slope of recovered against true heights, after the best plane (the common tilt) is taken out."""
+    true = true_points(found, tracks)
+    assert len(true) > 0.98 * len(tracks.points_um)
+    design = np.column_stack([true[:, 2], true[:, :2], np.ones(len(true))])
+    return float(np.linalg.lstsq(design, found.reconstruction.points_um[:, 2], rcond=None)[0][0])
+
+
+@pytest.fixture(scope="module")
+def staged() -> tuple[Calibration, Tracks]:
+    tracks = make_tracks(TILTS, stage_deg=TILTS, seen=1.0)
+    return solve(tracks), tracks
+
+
+@pytest.fixture(scope="module")
+def self_calibrated() -> tuple[Calibration, Tracks]:
+    tracks = make_tracks(TILTS, seen=1.0)
+    return solve(tracks), tracks
+
+
+def test_stage_tilts_give_the_motion(staged: tuple[Calibration, Tracks]) -> None:
+    found, tracks = staged[0].reconstruction, staged[1]
+    error = np.rad2deg(found.motion.tilt_rad - tracks.motion.tilt_rad)
+    assert np.abs(error).max() < 0.15
+    assert np.ptp(error) < 0.15
+    assert (np.abs(error) < 4 * np.rad2deg(found.tilt_sigma_rad)).all()
+    assert np.rad2deg(found.tilt_sigma_rad).max() < 0.12
+    assert np.rad2deg(found.motion.axis_angle_rad) == pytest.approx(87.0, abs=0.3)
+    scale = found.motion.scale_px_per_um / found.motion.scale_px_per_um[2]
+    np.testing.assert_allclose(scale, tracks.motion.scale_px_per_um / tracks.motion.scale_px_per_um[2], atol=4e-4)
+    assert (found.tilt_source, found.ambiguity, found.length_unit) == ("metadata", "none", "um")
+    assert found.reference == 2
+
+
+def test_the_noise_is_told_as_it_is(staged: tuple[Calibration, Tracks]) -> None:
+    calibration, _ = staged
+    assert calibration.sigma_px == pytest.approx(0.3, rel=0.1)
+    assert 1.0 <= calibration.overdispersion < 1.25
+    # 2 m coordinates of a track leave 2 m - 3 free
+    assert calibration.reconstruction.rms_px == pytest.approx(0.3 * np.sqrt(2 * 7 / 10), rel=0.06)
+
+
+@pytest.mark.parametrize("tilts", [(-4.0, 4.0), (-8.0, 0.0, 8.0), (-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0)])
+def test_the_noise_does_not_depend_on_the_number_of_views(tilts: tuple[float, ...]) -> None:
+    found = solve(make_tracks(tilts, stage_deg=tilts, seen=1.0))
+    assert found.sigma_px == pytest.approx(0.3, rel=0.1)
+
+
+def test_points_are_as_good_as_they_say(staged: tuple[Calibration, Tracks]) -> None:
+    calibration, tracks = staged
+    found = calibration.reconstruction
+    assert abs(height_scale(calibration, tracks) - 1) < 4 * found.height_scale_relative_sigma
+    true = true_points(calibration, tracks)
+    error = found.points_um - true
+    design = np.column_stack([true, np.ones(len(error))])
+    error -= design @ np.linalg.lstsq(design, error, rcond=None)[0]  # the choice of world, and the height scale
+    # The theory of parallax: sigma_z = noise / (scale * root of the summed squares of sin(tilt)).
+    own = 0.3 * PIXEL_UM / np.sqrt((np.sin(np.deg2rad(TILTS)) ** 2).sum())
+    assert error[:, 2].std() == pytest.approx(own, rel=0.15)
+    assert (found.points_sigma_um[:, 2] > 0.8 * own).all()
+    assert np.sqrt(np.mean(found.points_sigma_um[:, 2] ** 2)) < 2.5 * own
+
+
+def test_the_world_lies_under_the_reference_view(staged: tuple[Calibration, Tracks]) -> None:
+    found = staged[0].reconstruction
+    middle = (SIZE_PX - 1) / 2
+    np.testing.assert_allclose(found.motion.translation_px[found.reference], middle, atol=1e-6)
+    assert np.median(found.points_um[:, 2]) == pytest.approx(0, abs=1e-9)
+
+
+def test_the_images_alone_give_the_motion(self_calibrated: tuple[Calibration, Tracks]) -> None:
+    calibration, tracks = self_calibrated
+    found = calibration.reconstruction
+    assert found.tilt_source == "self-calibrated"
+    assert found.ambiguity == "reflection"
+    recovered = found.motion.tilt_rad - found.motion.tilt_rad[2]
+    slope = float(recovered @ tracks.motion.tilt_rad / (tracks.motion.tilt_rad @ tracks.motion.tilt_rad))
+    sigma = found.height_scale_relative_sigma
+    assert 0.005 < sigma < 0.2
+    assert abs(slope - 1) < 3 * sigma
+    steps = np.diff(np.rad2deg(found.motion.tilt_rad))
+    assert np.ptp(steps) < 0.25
+    assert any("no stage tilt gives the sign" in warning for warning in found.warnings)
+
+
+def test_shading_votes_for_the_sign(self_calibrated: tuple[Calibration, Tracks]) -> None:
+    calibration, tracks = self_calibrated
+    assert height_scale(calibration, tracks) > 0.7
+    assert calibration.reconstruction.relief_confidence > 0.95
+    dark_hills = make_tracks(TILTS, seen=1.0, shading=-1.0)
+    assert height_scale(solve(dark_hills), dark_hills) < -0.7
+
+
+def test_invert_relief_mirrors_everything_at_once(self_calibrated: tuple[Calibration, Tracks]) -> None:
+    calibration, tracks = self_calibrated
+    up, down = calibration.reconstruction, solve(tracks, replace(OPTIONS, invert_relief=True)).reconstruction
+    np.testing.assert_allclose(down.motion.tilt_rad, -up.motion.tilt_rad, atol=1e-12)
+    np.testing.assert_allclose(down.points_um[:, 2], -up.points_um[:, 2], atol=1e-9)
+    np.testing.assert_allclose(down.points_um[:, :2], up.points_um[:, :2], atol=1e-9)
+    assert down.rms_px == pytest.approx(up.rms_px)
+
+
+def test_a_reflection_fits_as_well_and_only_the_stage_tells_it() -> None:
+    """The sign of the relief is the sign of the stage's tilts."""
+    true = make_tracks(TILTS, stage_deg=TILTS, seen=1.0)
+    swapped = make_tracks(TILTS, stage_deg=tuple(-t for t in TILTS), seen=1.0)
+    up, down = solve(true), solve(swapped)
+    assert height_scale(up, true) == pytest.approx(1, abs=0.03)
+    assert height_scale(down, swapped) == pytest.approx(-1, abs=0.03)
+    assert down.reconstruction.rms_px == pytest.approx(up.reconstruction.rms_px, rel=0.02)
+
+
+def test_the_height_scale_follows_the_stage() -> None:
+    """Three views close together: the images say little of the tilts, so heights go with what the stage claims."""
+    small = (-3.0, 0.0, 3.0)
+    one = solve(make_tracks(small, stage_deg=small, seen=1.0)).reconstruction
+    two = solve(make_tracks(small, stage_deg=(-3.3, 0.0, 3.3), seen=1.0)).reconstruction
+    ratio = np.std(two.points_um[:, 2]) / np.std(one.points_um[:, 2])
+    assert ratio == pytest.approx(1 / 1.1, rel=0.03)
+
+
+def test_two_views_with_tilts_are_enough() -> None:
+    tracks = make_tracks((-4.0, 4.0), stage_deg=(-4.0, 4.0), seen=1.0)
+    found = solve(tracks)
+    assert abs(height_scale(found, tracks) - 1) < 0.06
+    # 0.1 deg of each tilt against their difference
+    assert found.reconstruction.height_scale_relative_sigma == pytest.approx(0.1 * np.sqrt(2) / 8, rel=0.15)
+
+
+@pytest.mark.parametrize("axis_deg", [0.0, 45.0, 90.0, 130.0])
+def test_any_tilt_axis_is_found(axis_deg: float) -> None:
+    tracks = make_tracks(TILTS, stage_deg=TILTS, axis_deg=axis_deg, seen=1.0)
+    found = solve(tracks)
+    assert np.rad2deg(found.reconstruction.motion.axis_angle_rad) == pytest.approx(axis_deg, abs=0.3)
+    assert height_scale(found, tracks) == pytest.approx(1, abs=0.03)
+
+
+def test_wrong_matches_do_not_move_the_result() -> None:
+    clean = solve(make_tracks(TILTS, stage_deg=TILTS)).reconstruction
+    dirty = solve(make_tracks(TILTS, stage_deg=TILTS, wrong=0.08))
+    found = dirty.reconstruction
+    assert np.rad2deg(np.abs(found.motion.tilt_rad - clean.motion.tilt_rad)).max() < 0.06
+    assert dirty.sigma_px == pytest.approx(0.3, rel=0.15)
+    assert found.rms_px < 0.5
+
+
+def test_a_common_offset_of_the_stage_stays_a_common_tilt() -> None:
+    """Images tell differences of tilts; where zero lies is the stage's word."""
+    offset = tuple(t + 10 for t in TILTS)
+    tracks = make_tracks(TILTS, stage_deg=offset, seen=1.0)
+    found = solve(tracks).reconstruction
+    np.testing.assert_allclose(np.diff(np.rad2deg(found.motion.tilt_rad)), 4.0, atol=0.12)
+    assert np.rad2deg(found.motion.tilt_rad.mean()) == pytest.approx(10, abs=0.1)
+
+
+def test_a_mistyped_tilt_is_named() -> None:
+    wrong = (-8.0, -4.0, 0.0, 14.0, 8.0)
+    found = solve(make_tracks(TILTS, stage_deg=wrong, seen=1.0)).reconstruction
+    assert any(w.startswith("view_3.tif: the stage says 14.00 deg") for w in found.warnings), found.warnings
+
+
+def test_without_a_pixel_size_lengths_are_px() -> None:
+    tracks = make_tracks(TILTS, stage_deg=TILTS, pixel_size_um=np.nan, seen=1.0)
+    found = solve(tracks)
+    assert found.reconstruction.length_unit == "px"
+    assert height_scale(found, tracks) == pytest.approx(1 / PIXEL_UM, rel=0.03)
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    tracks = make_tracks(TILTS, stage_deg=TILTS)
+    one, two = solve(tracks).reconstruction, solve(tracks).reconstruction
+    np.testing.assert_array_equal(one.points_um, two.points_um)
+    np.testing.assert_array_equal(one.covariance, two.covariance)
+    other = solve(tracks, seed=5).reconstruction
+    # The search may walk another way; the adjustment ends in the same place.
+    np.testing.assert_allclose(other.motion.tilt_rad, one.motion.tilt_rad, atol=np.deg2rad(1e-4))
+
+
+@pytest.mark.parametrize("stage", [True, False])
+def test_stated_sigmas_hold_the_truth(stage: bool) -> None:
+    """Over series with stage errors of the stated prior, errors in sigmas spread about one, not three nor a third."""
+    scores = []
+    for seed in range(8):
+        rng = np.random.default_rng([seed, 9])
+        told = tuple((np.array(TILTS) + rng.normal(0, 0.1, 5)).tolist()) if stage else None
+        tracks = make_tracks(
+            TILTS, stage_deg=told, seen=1.0, n_points=200, anisotropy=OPTIONS.prior_anisotropy, seed=seed
+        )
+        found = solve(tracks, replace(OPTIONS, de_generations=50)).reconstruction
+        tilt, true = found.motion.tilt_rad, tracks.motion.tilt_rad
+        span = abs(float((tilt - tilt.mean()) @ true / (true @ true)))
+        scores.append((span - 1) / found.height_scale_relative_sigma)
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.7, scores
+    assert abs(np.median(scores)) < 0.9, scores
+
+
+# Where there is no answer
+
+
+def test_two_views_without_tilts_are_refused_with_the_reason() -> None:
+    tracks = make_tracks((-4.0, 4.0))
+    for attempt in (lambda: solve(tracks), lambda: require_tilts(tracks.series)):
+        with pytest.raises(BadInputError, match=r"bas-relief ambiguity.*--tilts"):
+            attempt()
+
+
+def test_two_views_of_which_one_has_a_tilt_are_refused() -> None:
+    with pytest.raises(BadInputError, match="bas-relief"):
+        solve(make_tracks((-4.0, 4.0), stage_deg=(-4.0, np.nan)))
+
+
+@pytest.mark.parametrize("relief", [0.0, 0.01])
+def test_a_flat_specimen_without_tilts_has_no_answer(relief: float) -> None:
+    with pytest.raises(DegenerateGeometryError, match=r"no parallax.* px rms.*--tilts"):
+        solve(make_tracks(TILTS, relief=relief, noise_px=0.1))
+
+
+def test_noise_is_no_parallax() -> None:
+    """Usual keypoint noise on a flat specimen must not be taken for relief."""
+    for tracks in (make_tracks(TILTS, relief=0.0, noise_px=0.4), make_tracks((0.0, 0.0, 0.0), noise_px=0.4)):
+        with pytest.raises(DegenerateGeometryError, match="no parallax"):
+            solve(tracks)
+
+
+def test_views_of_one_tilt_have_no_answer() -> None:
+    with pytest.raises(DegenerateGeometryError, match="no parallax"):
+        solve(make_tracks((0.0, 0.0, 0.0), noise_px=0.05))
+
+
+def test_equal_stage_tilts_have_no_answer() -> None:
+    with pytest.raises(DegenerateGeometryError):
+        solve(make_tracks((0.0, 0.0, 0.0), stage_deg=(2.0, 2.0, 2.0)))
+
+
+def test_too_few_tracks_are_refused() -> None:
+    with pytest.raises(TooFewMatchesError, match="20 tracks over 5 views, need 24"):
+        solve(make_tracks(TILTS, stage_deg=TILTS, n_points=20))
+
+
+def test_invert_relief_is_refused_where_the_stage_fixes_the_sign() -> None:
+    with pytest.raises(BadInputError, match="--invert-relief"):
+        solve(make_tracks(TILTS, stage_deg=TILTS), replace(OPTIONS, invert_relief=True))
+
+
+def test_three_views_of_small_tilts_carry_a_wide_interval_and_a_warning() -> None:
+    found = solve(make_tracks((-2.0, 0.0, 2.0))).reconstruction
+    assert found.height_scale_relative_sigma > 0.1
+    assert any("height scale known to" in warning for warning in found.warnings)
+
+
+# Parts
+
+
+def test_relief_vote_tells_hills_from_pits_and_admits_ignorance() -> None:
+    tracks = make_tracks()
+    view = tracks.series.views[2]
+    xy = np.random.default_rng(0).uniform(20, SIZE_PX - 20, (900, 2))
+    height = relief_px()[np.rint(xy[:, 1]).astype(int), np.rint(xy[:, 0]).astype(int)]
+    up, confidence = relief_vote(view, xy, height)
+    down, _ = relief_vote(view, xy, -height)
+    assert up > 0.1
+    assert down == pytest.approx(-up, abs=1e-6)
+    assert confidence > 0.9
+    noise = np.random.default_rng(1).normal(size=len(xy))
+    assert relief_vote(view, xy, noise)[1] < 0.95
+    assert relief_vote(view, xy[:40], height[:40]) == (0.0, 0.5)
+
+
+def test_shared_points_are_paired_by_track() -> None:
+    observations = Observations(
+        np.array([0, 1, 0, 2, 1, 2]), np.array([0, 0, 1, 1, 2, 2]), np.arange(12.0).reshape(6, 2)
+    )
+    xy1, xy2 = shared_points(observations, 0, 1)
+    assert (xy1.tolist(), xy2.tolist()) == ([[0.0, 1.0]], [[2.0, 3.0]])
