@@ -6,13 +6,14 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/setup-done
 CODE := src tests benchmarks examples
 
-.PHONY: help setup demo test lint accuracy benchmark docs-pictures clean
+.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures clean
 
 help:
 	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
 	@echo "make test           the whole test suite"
 	@echo "make setup          only build .venv (the others do so where it is needed)"
 	@echo "make lint           style and types"
+	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
 	@echo "make benchmark      seconds per stage and peak memory, as JSON"
 	@echo "make docs-pictures  draw the pictures of docs/ again"
@@ -41,6 +42,9 @@ lint: $(STAMP)
 	@$(BIN)/ruff check $(CODE)
 	@$(BIN)/ruff format --check $(CODE)
 	@$(BIN)/mypy
+
+examples: $(STAMP)
+	@for script in examples/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
 accuracy: $(STAMP)
 	@$(BIN)/python benchmarks/accuracy.py

@@ -144,12 +144,12 @@ def test_three_images_of_one_tilt(images: Path, tmp_path: Path) -> None:
     for name, view in zip("abc", series.views, strict=True):
         tifffile.imwrite(images / f"{name}.tif", view.image.astype(np.uint8))
     done = reconstruct(images, tmp_path / "run")
-    assert_refused(done, 3, "no parallax", output=tmp_path / "run")
+    assert_refused(done, 3, "tilt farther", output=tmp_path / "run")
 
 
 def test_equal_tilts_have_no_answer(images: Path, tmp_path: Path) -> None:
     done = reconstruct(images, tmp_path / "run", "--tilts", "5,5,5")
-    assert_refused(done, 3, "tilt", output=tmp_path / "run")
+    assert_refused(done, 2, "a.tif and b.tif are both at 5 deg", output=tmp_path / "run")
 
 
 def test_images_of_two_specimens(images: Path, tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_a_pixel_size_that_is_none(images: Path, tmp_path: Path, value: str) -> 
 @pytest.mark.parametrize("text", ["-0.05", "0.0"])
 def test_a_pixel_size_that_is_none_in_other_places(images: Path, tmp_path: Path, text: str) -> None:
     done = reconstruct(images, tmp_path / "run", "--set", f"input.pixel_size_um={text}")
-    assert_refused(done, 2, "pixel_size_um", output=tmp_path / "run")
+    assert_refused(done, 2, "the pixel size given", "positive number", output=tmp_path / "run")
     (images / "series.toml").write_text(f"pixel_size_um = {text}\n")
     done = reconstruct(images, tmp_path / "run")
     assert_refused(done, 2, "pixel_size_um", "series.toml", output=tmp_path / "run")

@@ -7,18 +7,19 @@ This walks the bas-relief valley in a few steps, where alternating or first-orde
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from scipy.stats import chi2
 
 from semscape.errors import DegenerateGeometryError
 from semscape.geometry.rotations import CAM_FROM_WORLD_AT_ZERO_TILT, axis_rotation, roll_rotation
 from semscape.sfm.priors import MotionPrior
-from semscape.types import FloatArray, IntArray, Observations
+from semscape.sfm.schur import KERNEL_PARAMETERS, accumulate_schur
+from semscape.types import FloatArray, Observations
 
 PARAMETERS_PER_VIEW = 6  # tilt, roll, relative scale, anisotropy, x and y translation
-_KERNEL_PARAMETERS = 7  # the axis, which all views share, and those
 _CAUCHY = 2.385
 _TRANSLATION_SIGMA_PX = 100.0
 _RELATIVE_TOLERANCE = 1e-14
@@ -26,6 +27,7 @@ _REWEIGHTING_TOLERANCE = 1e-7
 _STEPS_PER_REWEIGHTING = 3
 _INLIER_WEIGHT = 0.2
 _CELLS = 4
+_UNDETERMINED = "the tracks do not determine the motion of the series: more matches or a wider tilt range are needed"
 _LEAST_PER_CELL = 10
 
 
@@ -98,7 +100,10 @@ def adjust(
             break
     parameters, cost, steps = problem.minimize(parameters, information, max_steps=200)
     hessian = problem.normal_equations(parameters, information).hessian
-    covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
+    try:
+        covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise DegenerateGeometryError(_UNDETERMINED) from error
     residual = problem.residuals(parameters, weights)
     points, points_covariance = problem.points_with_covariance(parameters, information, covariance)
     return Adjustment(
@@ -109,13 +114,18 @@ def adjust(
 def noise_sigma_px(residual_px: FloatArray, observations: Observations) -> float:
     """Estimate the noise of one coordinate from the residuals (K, 2), robustly.
 
-    A track of m views leaves 2 m - 3 of its 2 m residuals free; the rest is absorbed by its point. The median
-    length of a normal 2-vector is 1.1774 sigma.
+    A track of m views leaves 2 m - 3 of its 2 m residuals free, the rest is absorbed by its point: its squared
+    residuals sum to sigma^2 times a chi-square of so many degrees of freedom. Medians over the tracks of each length
+    keep outliers out.
     """
-    length = np.bincount(observations.point)[observations.point]
-    free_share = (2.0 * length - 3.0) / (2.0 * length)
-    standardized = np.linalg.norm(residual_px, axis=1) / np.sqrt(free_share)
-    return max(float(np.median(standardized)) / 1.1774, 1e-3)
+    squared = np.bincount(observations.point, (residual_px**2).sum(axis=1))
+    length = np.bincount(observations.point)
+    total = tracks = 0.0
+    for m in np.unique(length):
+        of_length = squared[length == m]
+        total += len(of_length) * float(np.median(of_length)) / float(chi2.median(2 * m - 3))
+        tracks += len(of_length)
+    return max(math.sqrt(total / tracks), 1e-3)
 
 
 def residual_overdispersion(
@@ -185,7 +195,7 @@ class _Problem:
             try:
                 solution = np.linalg.solve(equations.hessian + damping * np.diag(diagonal), equations.gradient)
             except np.linalg.LinAlgError as error:
-                raise DegenerateGeometryError("the tracks do not determine the motion of the series") from error
+                raise DegenerateGeometryError(_UNDETERMINED) from error
             step = np.asarray(solution, dtype=np.float64)
             candidate = self.normal_equations(parameters + step, weights)
             if candidate.cost <= equations.cost:
@@ -203,14 +213,14 @@ class _Problem:
     def normal_equations(self, parameters: FloatArray, weights: FloatArray) -> _NormalEquations:
         """Build the camera system after the points are eliminated, priors included."""
         matrices, derivatives, translations = self._cameras(parameters)
-        blocks = np.zeros((self.n_views, self.n_views, _KERNEL_PARAMETERS, _KERNEL_PARAMETERS))
-        gradients = np.zeros((self.n_views, _KERNEL_PARAMETERS))
+        blocks = np.zeros((self.n_views, self.n_views, KERNEL_PARAMETERS, KERNEL_PARAMETERS))
+        gradients = np.zeros((self.n_views, KERNEL_PARAMETERS))
         points = np.empty((len(self.start) - 1, 3))
-        cost = _accumulate(
+        cost = accumulate_schur(
             self.start, self.view, self.xy, weights, matrices, derivatives, translations, blocks, gradients, points
         )
         size = 1 + PARAMETERS_PER_VIEW * self.n_views
-        expand = np.zeros((self.n_views, _KERNEL_PARAMETERS, size))
+        expand = np.zeros((self.n_views, KERNEL_PARAMETERS, size))
         for view in range(self.n_views):
             expand[view, 0, 0] = 1
             first = 1 + PARAMETERS_PER_VIEW * view
@@ -306,101 +316,3 @@ def camera_jacobians(parameters: FloatArray, scale_px_per_um: FloatArray) -> tup
 
 def _cross_matrix(v: FloatArray) -> FloatArray:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-@njit(cache=True, nogil=True)
-def _symmetric_inverse(m: FloatArray) -> FloatArray:
-    inverse = np.empty((3, 3))
-    inverse[0, 0] = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
-    inverse[0, 1] = inverse[1, 0] = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
-    inverse[0, 2] = inverse[2, 0] = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
-    inverse[1, 1] = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
-    inverse[1, 2] = inverse[2, 1] = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
-    inverse[2, 2] = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
-    determinant = m[0, 0] * inverse[0, 0] + m[0, 1] * inverse[0, 1] + m[0, 2] * inverse[0, 2]
-    scaled: FloatArray = inverse / determinant
-    return scaled
-
-
-@njit(cache=True, nogil=True)
-def _accumulate(
-    start: IntArray,
-    view: IntArray,
-    xy: FloatArray,
-    weights: FloatArray,
-    matrices: FloatArray,
-    derivatives: FloatArray,
-    translations: FloatArray,
-    blocks: FloatArray,
-    gradients: FloatArray,
-    points: FloatArray,
-) -> float:
-    """Add each point's Schur complement to `blocks` and `gradients`; return the weighted cost."""
-    most = 0
-    for point in range(len(start) - 1):
-        most = max(most, start[point + 1] - start[point])
-    jacobian = np.empty((most, 2, 7))
-    coupling = np.empty((most, 7, 3))
-    solved = np.empty((most, 3, 7))
-    residual = np.empty((most, 2))
-    cost = 0.0
-    for point in range(len(start) - 1):
-        first, count = start[point], start[point + 1] - start[point]
-        normal = np.zeros((3, 3))
-        right = np.zeros(3)
-        for o in range(count):
-            k = first + o
-            camera = matrices[view[k]]
-            for a in range(2):
-                target = xy[k, a] - translations[view[k], a]
-                for i in range(3):
-                    right[i] += weights[k] * camera[a, i] * target
-                    for j in range(3):
-                        normal[i, j] += weights[k] * camera[a, i] * camera[a, j]
-        inverse = _symmetric_inverse(normal)
-        x = inverse @ right
-        points[point] = x
-        for o in range(count):
-            k = first + o
-            v = view[k]
-            for a in range(2):
-                predicted = translations[v, a]
-                for i in range(3):
-                    predicted += matrices[v, a, i] * x[i]
-                residual[o, a] = xy[k, a] - predicted
-                cost += weights[k] * residual[o, a] ** 2
-                for p in range(5):
-                    total = 0.0
-                    for i in range(3):
-                        total += derivatives[v, p, a, i] * x[i]
-                    jacobian[o, a, p] = total
-                jacobian[o, a, 5] = 1.0 - a
-                jacobian[o, a, 6] = float(a)
-            for p in range(7):
-                gradients[v, p] += weights[k] * (
-                    jacobian[o, 0, p] * residual[o, 0] + jacobian[o, 1, p] * residual[o, 1]
-                )
-                for i in range(3):
-                    coupling[o, p, i] = weights[k] * (
-                        jacobian[o, 0, p] * matrices[v, 0, i] + jacobian[o, 1, p] * matrices[v, 1, i]
-                    )
-                for q in range(7):
-                    blocks[v, v, p, q] += weights[k] * (
-                        jacobian[o, 0, p] * jacobian[o, 0, q] + jacobian[o, 1, p] * jacobian[o, 1, q]
-                    )
-            for i in range(3):
-                for p in range(7):
-                    total = 0.0
-                    for j in range(3):
-                        total += inverse[i, j] * coupling[o, p, j]
-                    solved[o, i, p] = total
-        for o1 in range(count):
-            for o2 in range(count):
-                v1, v2 = view[first + o1], view[first + o2]
-                for p in range(7):
-                    for q in range(7):
-                        total = 0.0
-                        for i in range(3):
-                            total += coupling[o1, p, i] * solved[o2, i, q]
-                        blocks[v1, v2, p, q] -= total
-    return cost

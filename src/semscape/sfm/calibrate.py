@@ -35,8 +35,12 @@ _START_NOISE_PX = 0.4
 _REJECT_IN_SIGMAS = 5.0
 _LEAST_TRACKS = 24
 _LEAST_PARALLAX_PX = 0.5
+_PARALLAX_OVER_NOISE = 2.0
+_LEAST_SHARED = 8
+_LEAST_TILT_SPAN_DEG = 0.2
 _WIDE_HEIGHT_SCALE = 0.05
 _DISAGREEMENT_IN_SIGMAS = 3.0
+_CERTAIN_VOTE = 0.99
 
 
 @dataclass(frozen=True)
@@ -133,8 +137,14 @@ def _start_parameters(searched: FloatArray, observations: Observations, n_views:
 
 
 def _require_parallax(series: TiltSeries, observations: Observations, prior: MotionPrior) -> None:
-    """Refuse views that differ by no more than an affine map, unless the stage gives the tilts."""
+    """Refuse views that differ by no more than an affine map, unless the stage gives different tilts."""
     if not prior.self_calibrated:
+        span = float(np.rad2deg(np.nanmax(prior.tilt_rad) - np.nanmin(prior.tilt_rad)))
+        if span < _LEAST_TILT_SPAN_DEG:
+            raise DegenerateGeometryError(
+                f"the stage tilts span {span:.2f} deg, need {_LEAST_TILT_SPAN_DEG}: without a change of tilt there is "
+                "no parallax, so no height"
+            )
         return
     largest = 0.0
     for i1 in range(series.n_views):
@@ -143,20 +153,26 @@ def _require_parallax(series: TiltSeries, observations: Observations, prior: Mot
     if largest < _LEAST_PARALLAX_PX:
         raise DegenerateGeometryError(
             f"no parallax: between any two of {series.n_views} views the points move by at most {largest:.2f} px rms "
-            f"against a common affine map, need {_LEAST_PARALLAX_PX} px. The images are the same picture, the "
-            "specimen is flat, or the tilts are too small; give the stage tilts (--tilts) or tilt farther"
+            f"along one direction against a common affine map, need {_LEAST_PARALLAX_PX} px. The images are the same "
+            "picture, the specimen is flat, or the tilts are too small; give the stage tilts (--tilts) or tilt farther"
         )
 
 
 def _parallax_px(observations: Observations, i1: int, i2: int) -> float:
-    """Return the robust spread of the points of two views about the affine map between them, in px."""
+    """Return how far the points of two views spread along their parallax, beyond noise, in px rms.
+
+    About the affine map between the views, parallax acts along one direction and noise along both.
+    """
     xy1, xy2 = shared_points(observations, i1, i2)
-    if len(xy1) < 8:
+    if len(xy1) < _LEAST_SHARED:
         return 0.0
     design = np.column_stack([xy1 - xy1.mean(axis=0), np.ones(len(xy1))])
     solution, *_ = np.linalg.lstsq(design, xy2, rcond=None)
-    residual = np.linalg.norm(xy2 - design @ solution, axis=1)
-    return float(np.sqrt(np.mean(np.minimum(residual, 5 * np.median(residual) + 1e-12) ** 2)))
+    residual = xy2 - design @ solution
+    length = np.linalg.norm(residual, axis=1)
+    residual = residual[length <= 5 * np.median(length) + 1e-12]
+    across, along = np.linalg.eigvalsh(residual.T @ residual / len(residual))
+    return float(np.sqrt(along - across)) if along > _PARALLAX_OVER_NOISE * across else 0.0
 
 
 def shared_points(observations: Observations, i1: int, i2: int) -> tuple[FloatArray, FloatArray]:
@@ -255,16 +271,22 @@ def _relief_sign(
     options: SfmOptions,
 ) -> tuple[float, Ambiguity, float, list[str]]:
     """Decide whether to mirror the relief: by the stage's sign, else by shading, reported as assumed."""
-    if not prior.self_calibrated:
-        if options.invert_relief:
-            raise BadInputError(
-                "--invert-relief is for series without stage tilts; here the sign of the tilts fixes the relief. "
-                "If the relief is inverted, give the tilts with the opposite signs (--tilts)"
-            )
-        return 1.0, "none", 1.0, []
+    if not prior.self_calibrated and options.invert_relief:
+        raise BadInputError(
+            "--invert-relief is for series without stage tilts; here the sign of the tilts fixes the relief. "
+            "If the relief is inverted, give the tilts with the opposite signs (--tilts)"
+        )
     in_reference = observations.view == prior.reference
     seen = observations.point[in_reference]
     correlation, confidence = relief_vote(series.views[prior.reference], observations.xy[in_reference], points[seen, 2])
+    if not prior.self_calibrated:
+        doubts = []
+        if correlation < 0 and confidence > _CERTAIN_VOTE:
+            doubts.append(
+                f"the shading contradicts the sign of the tilts (confidence {confidence:.0%}): if hills come out as "
+                "pits, give the tilts with the opposite signs (--tilts)"
+            )
+        return 1.0, "none", 1.0, doubts
     sign = -1.0 if correlation < 0 else 1.0
     voted = "up"
     if options.invert_relief:
