@@ -276,7 +276,10 @@ class _Problem:
         right = np.einsum("k,kai,ka->ki", weights, matrices[view], self.xy - translations[view])
         normal = np.add.reduceat(normal, self.start[:-1], axis=0)
         right = np.add.reduceat(right, self.start[:-1], axis=0)
-        inverse = np.linalg.inv(normal)
+        try:
+            inverse = np.linalg.inv(normal)
+        except np.linalg.LinAlgError as error:
+            raise DegenerateGeometryError(_UNDETERMINED) from error
         return np.einsum("pij,pj->pi", inverse, right), inverse
 
 
