@@ -5,6 +5,7 @@ Names given on the command line draw those alone: potamogeton1, quartz, dsa, rea
 
 from __future__ import annotations
 
+import io
 import sys
 
 import numpy as np
@@ -18,6 +19,7 @@ from semscape.types import Result
 
 PICTURES = REPOSITORY / "docs" / "pictures"
 _LARGEST_BYTES = 500_000
+_COLOURS = 96
 _README_SPECIMEN = "pollen"
 
 
@@ -33,8 +35,6 @@ def draw_readme() -> bytes:
 
 
 def _side_by_side(result: Result) -> bytes:
-    import io
-
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -69,6 +69,19 @@ def _side_by_side(result: Result) -> bytes:
     return buffer.getvalue()
 
 
+def _on_white(picture: bytes) -> bytes:
+    """Return a PNG on white ground and with few colours, which makes it a third of its size."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(picture)) as image:
+        coloured = image.convert("RGBA")
+    ground = Image.new("RGBA", coloured.size, "white")
+    reduced = Image.alpha_composite(ground, coloured).convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE)
+    buffer = io.BytesIO()
+    reduced.save(buffer, format="png", optimize=True)
+    return buffer.getvalue()
+
+
 def main(names: list[str]) -> None:
     """Draw the pictures that are named, or all."""
     PICTURES.mkdir(parents=True, exist_ok=True)
@@ -79,6 +92,7 @@ def main(names: list[str]) -> None:
             continue
         path = PICTURES / ("readme.png" if name == "readme" else f"hillshade_{name}.png")
         picture = draw_readme() if name == "readme" else draw_real(name)
+        picture = _on_white(picture)
         if len(picture) > _LARGEST_BYTES:
             raise SystemExit(f"{path.name} has {len(picture)} bytes, more than {_LARGEST_BYTES}")
         path.write_bytes(picture)

@@ -19,6 +19,7 @@ from semscape.geometry.cameras import camera_matrices
 from semscape.types import FloatArray, HeightMap, Reconstruction, SimulationTruth
 
 _FIXED_POINT_STEPS = 12
+_CLIPPING_ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -56,11 +57,11 @@ def height_error(height_map: HeightMap, reconstruction: Reconstruction, truth: S
 
     plane = np.column_stack([cols[known], rows[known], np.ones(known.sum())])
     difference = height[known] - true_height[known]
-    lean, *_ = np.linalg.lstsq(plane, difference, rcond=None)
+    lean = _robust_fit(plane, difference)
     error = np.full(height.shape, np.nan)
     error[known] = (difference - plane @ lean) / height_map.pixel_size_um
     with_scale = np.column_stack([true_height[known], plane])
-    scaled, *_ = np.linalg.lstsq(with_scale, height[known], rcond=None)
+    scaled = _robust_fit(with_scale, height[known])
     shape_error = np.full(height.shape, np.nan)
     shape_error[known] = (height[known] - with_scale @ scaled) / height_map.pixel_size_um
     return HeightError(error, shape_error, float(scaled[0]))
@@ -86,6 +87,16 @@ def height_figures(height_map: HeightMap, reconstruction: Reconstruction, truth:
         figures["within_1_sigma"] = round(float((error < sigma).mean()), 4)
         figures["median_uncertainty_px"] = round(float(np.median(sigma)), 4)
     return figures
+
+
+def _robust_fit(design: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the least-squares coefficients without the values beyond 4 robust sigmas: false heights are no lean."""
+    kept = np.ones(len(values), dtype=bool)
+    for _ in range(_CLIPPING_ROUNDS):
+        coefficients, *_ = np.linalg.lstsq(design[kept], values[kept], rcond=None)
+        residual = np.abs(values - design @ coefficients)
+        kept = residual <= 4 * 1.4826 * np.median(residual) + 1e-12
+    return coefficients
 
 
 def _project(height_map: HeightMap, cols: FloatArray, rows: FloatArray, reconstruction: Reconstruction) -> FloatArray:

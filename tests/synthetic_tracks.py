@@ -34,9 +34,7 @@ def relief_px() -> np.ndarray:
     return height
 
 
-def make_motion(
-    tilts_deg: tuple[float, ...], axis_deg: float = 87.0, seed: int = 0, anisotropy: float = 0.0
-) -> Motion:
+def make_motion(tilts_deg: tuple[float, ...], axis_deg: float = 87.0, seed: int = 0, anisotropy: float = 0.0) -> Motion:
     rng = np.random.default_rng(seed)
     views = len(tilts_deg)
     return Motion(

@@ -36,9 +36,7 @@ RNG = np.random.default_rng(3)
 
 def motion(axis_deg: float, tilts_deg: list[float]) -> Motion:
     zero = np.zeros(len(tilts_deg))
-    return Motion(
-        np.deg2rad(axis_deg), np.deg2rad(tilts_deg), zero, zero + 1, zero, np.zeros((len(tilts_deg), 2))
-    )
+    return Motion(np.deg2rad(axis_deg), np.deg2rad(tilts_deg), zero, zero + 1, zero, np.zeros((len(tilts_deg), 2)))
 
 
 def blob(shape: tuple[int, int], x: float, y: float, sigma: float) -> np.ndarray:
@@ -194,7 +192,7 @@ def test_transforms_are_named_b_from_a_and_compose_by_adjacency() -> None:
 def test_x2_f_x1_is_zero_and_pairs_rise() -> None:
     points = RNG.normal(0, 100, (300, 3)) * (1, 1, 0.4)
     xy1, xy2 = (points @ matrix.T + 200 for matrix in camera_matrices(motion(70.0, [-5.0, 4.0])))
-    xy2 = xy2 + (3.0, 17.0)
+    xy2 = xy2 + np.array([3.0, 17.0])
     geometry = ac_ransac((0, 1), xy1, xy2, (400, 400), max_trials=200, rng=np.random.default_rng(0))
     one = np.ones((300, 1))
     product = np.einsum("ni,ij,nj->n", np.hstack([xy2, one]), geometry.matrix, np.hstack([xy1, one]))
@@ -267,9 +265,9 @@ def test_no_global_random_state_is_used() -> None:
 
 def test_misuse_raises_value_error_and_data_a_semscape_error_with_numbers() -> None:
     empty = Keypoints(np.empty((0, 2)), *[np.empty(0)] * 3, np.empty((0, 4), np.float32), "sift")
-    with pytest.raises(ValueError, match="ratio is 1.5"):
+    with pytest.raises(ValueError, match=r"ratio is 1\.5"):
         match((0, 1), empty, empty, ratio=1.5)
-    with pytest.raises(TooFewMatchesError, match="3 matches.* at least 5"):
+    with pytest.raises(TooFewMatchesError, match=r"3 matches.* at least 5"):
         ac_ransac((0, 1), np.ones((3, 2)), np.ones((3, 2)), (9, 9), max_trials=9, rng=RNG)
     assert issubclass(NoAnswerError, SemscapeError)
     assert issubclass(BadInputError, SemscapeError)

@@ -95,8 +95,9 @@ def test_heights_are_right_and_not_suspiciously_so(solved: tuple[Result, Simulat
     error = np.abs(height_errors_px(*solved))
     relief = np.ptp(np.nanpercentile(solved[1].height_um, [1, 99])) / solved[1].pixel_size_um
     assert relief > 30
-    assert 0.05 < np.median(error) < 1.0
-    assert np.percentile(error, 90) < 4.0
+    # Three views and keypoint-like noise: 0.2 px of disparity over 2 sin(6 deg) is 1 px of height.
+    assert 0.1 < np.median(error) < 1.8
+    assert np.percentile(error, 90) < 5.0
 
 
 def test_the_relief_is_the_right_way_up(solved: tuple[Result, SimulationTruth]) -> None:

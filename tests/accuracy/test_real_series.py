@@ -1,7 +1,7 @@
 """The measured tilt series, with no option: what they give, with gates on both sides.
 
-Nobody knows the truth of these series; equal steps are what their authors very likely set. Only what a test needs is
-computed: the dense stage runs for the grain alone.
+Nobody knows the truth of these series; equal steps are what their authors very likely set. Calibration and its sparse
+points tell all that is asked here; the dense stage, most of the time, is left out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from semscape.options import InputOptions, Options
 from semscape.sfm.calibrate import calibrate
 from semscape.sfm.tracks import build_tracks
 from semscape.sfm.two_view import match_pair
-from semscape.types import Keypoints, Matches, Observations, Reconstruction, Result, TiltSeries, TwoViewGeometry
+from semscape.types import Keypoints, Matches, Observations, Reconstruction, TiltSeries, TwoViewGeometry
 
 pytestmark = pytest.mark.real_data
 OPTIONS = Options()
@@ -78,9 +78,9 @@ def dsa(shared_data: Path) -> tuple[Tracked, Reconstruction]:
 
 
 @pytest.fixture(scope="module")
-def pollen(shared_data: Path) -> Result:
-    series = semscape.load_series(shared_data / "tilt_series" / "potamogeton1")
-    return semscape.reconstruct(series, semscape.Options(), rng=0)
+def pollen(shared_data: Path) -> tuple[Tracked, Reconstruction]:
+    data = tracked(shared_data / "tilt_series" / "potamogeton1")
+    return data, data.calibrated()
 
 
 def steps_deg(found: Reconstruction) -> np.ndarray:
@@ -88,8 +88,8 @@ def steps_deg(found: Reconstruction) -> np.ndarray:
     return np.asarray(np.abs(steps)) if (np.sign(steps) == np.sign(steps[0])).all() else steps
 
 
-def test_pollen_gives_steps_of_3_deg(pollen: Result) -> None:
-    steps = steps_deg(pollen.reconstruction)
+def test_pollen_gives_steps_of_3_deg(pollen: tuple[Tracked, Reconstruction]) -> None:
+    steps = steps_deg(pollen[1])
     assert len(steps) == 3
     np.testing.assert_allclose(steps, 2.95, atol=0.15)
 
@@ -106,13 +106,13 @@ def test_dsa_gives_equal_steps(dsa: tuple[Tracked, Reconstruction]) -> None:
     assert 3 < steps.mean() < 7
 
 
-def test_residuals_are_those_of_good_keypoints(quartz, dsa, pollen: Result) -> None:
-    rms = {"quartz": quartz[1].rms_px, "dsa": dsa[1].rms_px, "pollen": pollen.reconstruction.rms_px}
+def test_residuals_are_those_of_good_keypoints(quartz, dsa, pollen: tuple[Tracked, Reconstruction]) -> None:
+    rms = {"quartz": quartz[1].rms_px, "dsa": dsa[1].rms_px, "pollen": pollen[1].rms_px}
     assert all(0.05 < value < 0.35 for value in rms.values()), rms
 
 
-def test_the_axis_is_nearly_vertical(quartz, dsa, pollen: Result) -> None:
-    for found in (quartz[1], dsa[1], pollen.reconstruction):
+def test_the_axis_is_nearly_vertical(quartz, dsa, pollen: tuple[Tracked, Reconstruction]) -> None:
+    for found in (quartz[1], dsa[1], pollen[1]):
         assert np.rad2deg(found.motion.axis_angle_rad) == pytest.approx(90, abs=8)
 
 
@@ -125,8 +125,10 @@ def test_dsa_has_5000_inliers_in_each_pair(dsa: tuple[Tracked, Reconstruction]) 
     assert all(0.75 < share < 0.999 for share in kept), kept
 
 
-def test_without_tilts_the_interval_is_wide_and_the_sign_assumed(quartz, dsa, pollen: Result) -> None:
-    for found in (quartz[1], dsa[1], pollen.reconstruction):
+def test_without_tilts_the_interval_is_wide_and_the_sign_assumed(
+    quartz, dsa, pollen: tuple[Tracked, Reconstruction]
+) -> None:
+    for found in (quartz[1], dsa[1], pollen[1]):
         assert (found.tilt_source, found.ambiguity) == ("self-calibrated", "reflection")
         assert found.height_scale_relative_sigma > 0.02
         assert any("no stage tilt" in warning for warning in found.warnings)
@@ -135,7 +137,7 @@ def test_without_tilts_the_interval_is_wide_and_the_sign_assumed(quartz, dsa, po
 def test_the_height_scale_follows_given_tilts(quartz: tuple[Tracked, Reconstruction]) -> None:
     data, _ = quartz
     one, two = data.calibrated((-5.0, 0.0, 5.0)), data.calibrated((-10.0, 0.0, 10.0))
-    assert (one.tilt_source, one.ambiguity) == ("user", "none") or one.ambiguity == "none"
+    assert one.ambiguity == two.ambiguity == "none"
     ranges = [np.ptp(np.percentile(found.points_um[:, 2], [2, 98])) for found in (one, two)]
     tilts = [np.tan(np.ptp(found.motion.tilt_rad) / 2) for found in (one, two)]
     assert ranges[0] / ranges[1] == pytest.approx(tilts[1] / tilts[0], rel=0.05)
@@ -160,25 +162,28 @@ def test_given_tilts_through_the_door(shared_data: Path) -> None:
     assert {view.metadata.source["tilt_rad"] for view in series.views} == {"user"}
 
 
-def test_the_pollen_grain_stands_up(pollen: Result) -> None:
+def grain(found: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distance from the image's centre and the height of every point, in px."""
+    scale = float(found.motion.scale_px_per_um[found.reference])
+    return np.hypot(*found.points_um[:, :2].T) * scale, found.points_um[:, 2] * scale
+
+
+def test_the_pollen_grain_stands_up(pollen: tuple[Tracked, Reconstruction]) -> None:
     """The grain's middle is higher than its rim: the vote by shading got the sign right, and no hill is a pit."""
-    height = pollen.height_map.height_um
-    rows, cols = np.indices(height.shape)
-    radius = np.hypot(rows - (height.shape[0] - 1) / 2, cols - (height.shape[1] - 1) / 2)
-    middle = np.nanmedian(height[radius < 100])
-    rim = np.nanmedian(height[(radius > 230) & (radius < 300)])
-    assert middle > rim
+    radius, height = grain(pollen[1])
+    middle, rim = height[radius < 100], height[(radius > 230) & (radius < 300)]
+    assert min(len(middle), len(rim)) > 50
+    assert np.median(middle) > np.median(rim) + 20
 
 
-def test_the_pollen_map_is_complete_on_the_grain(pollen: Result) -> None:
-    height = pollen.height_map.height_um
-    rows, cols = np.indices(height.shape)
-    radius = np.hypot(rows - (height.shape[0] - 1) / 2, cols - (height.shape[1] - 1) / 2)
-    assert 0.85 < np.isfinite(height[radius < 220]).mean() <= 1.0
+def test_the_pollen_relief_is_one_of_a_grain(pollen: tuple[Tracked, Reconstruction]) -> None:
+    """A relief of the order of the grain's radius; neither flat nor a needle."""
+    _, height = grain(pollen[1])
+    assert 100 < np.ptp(np.percentile(height, [1, 99])) < 900
+    assert pollen[1].relief_confidence > 0.6
 
 
-def test_the_pollen_relief_is_one_of_a_grain(pollen: Result) -> None:
-    """A relief of the order of the grain's radius; neither flat nor a needle. Pixel size from the JPEG's EXIF or none."""
-    height_map = pollen.height_map
-    relief_px = np.ptp(np.nanpercentile(height_map.height_um, [1, 99])) / height_map.pixel_size_um
-    assert 100 < relief_px < 900
+def test_tracks_are_long(pollen: tuple[Tracked, Reconstruction]) -> None:
+    """A mirrored model has a good residual, too, but short tracks."""
+    observations = pollen[1].observations
+    assert 2.3 < len(observations.view) / observations.n_points <= 4

@@ -64,7 +64,7 @@ def test_a_camera_is_its_motion(axis: float, tilt: float, roll: float, scale: fl
     expected = points @ (stretch * scale @ tilted_cam_from_world(axis, tilt, roll)[:2]).T + (3.0, 4.0)
     np.testing.assert_allclose(camera.project(points), expected, atol=1e-9)
     assert camera.jacobian(points).shape == (20, 2, 3)
-    step = camera.project(points + (0, 0, 1e-3)) - camera.project(points)
+    step = camera.project(points + np.array([0, 0, 1e-3])) - camera.project(points)
     np.testing.assert_allclose(camera.jacobian(points)[:, :, 2], step / 1e-3, atol=1e-8)
     np.testing.assert_allclose(camera_matrices(motion)[0], camera.matrix)
 

@@ -117,9 +117,7 @@ def test_wrong_matches_get_little_weight() -> None:
     xy = tracks.observations.xy.copy()
     xy[7::50] += 30.0
     observations = type(tracks.observations)(tracks.observations.view, tracks.observations.point, xy)
-    found = adjust(
-        true_parameters(tracks), observations, motion_prior(tracks.series, SfmOptions()), max_iterations=50
-    )
+    found = adjust(true_parameters(tracks), observations, motion_prior(tracks.series, SfmOptions()), max_iterations=50)
     assert np.median(found.weights[7::50]) < 0.01
     assert np.median(found.weights) > 0.7
 

@@ -19,6 +19,8 @@ from semscape.types import FloatArray, Micrograph
 _NEIGHBOURS = 30
 _FINE_PX = 3.0
 _LEAST_COARSE_PX = 8.0
+# Shading is a rule with exceptions, however many neighbourhoods agree.
+_MOST_CONFIDENT = 0.99
 
 
 def relief_vote(view: Micrograph, xy: FloatArray, height: FloatArray) -> tuple[float, float]:
@@ -67,7 +69,7 @@ def relief_vote(view: Micrograph, xy: FloatArray, height: FloatArray) -> tuple[f
     coefficient, *_ = np.linalg.lstsq(explaining, brightness, rcond=None)
     correlation = float(coefficient[0])
     votes = dense.sum() / _NEIGHBOURS
-    confidence = 0.5 * (1 + math.erf(abs(correlation) * math.sqrt(votes) / math.sqrt(2)))
+    confidence = min(0.5 * (1 + math.erf(abs(correlation) * math.sqrt(votes) / math.sqrt(2))), _MOST_CONFIDENT)
     return correlation, confidence
 
 
