@@ -15,11 +15,14 @@ def height_map_mesh(height_map: HeightMap, *, max_vertices: int) -> SurfaceMesh:
 
     Triangles that span an unknown pixel, or a slope steeper than 83 deg (a depth jump), are left out.
     """
-    stride = max(1, int(np.ceil(np.sqrt(height_map.height_um.size / max_vertices))))
+    rows, columns = height_map.height_um.shape
+    stride = max(1, int(np.sqrt(height_map.height_um.size / max_vertices)))
+    while -(-rows // stride) * -(-columns // stride) > max_vertices:
+        stride += 1
     height = height_map.height_um[::stride, ::stride]
-    rows, cols = (axis * stride for axis in np.indices(height.shape))
+    row, col = (axis * stride for axis in np.indices(height.shape))
     known = np.isfinite(height)
-    grid = np.stack([cols, rows, np.nan_to_num(height), np.ones_like(height)], axis=-1)
+    grid = np.stack([col, row, np.nan_to_num(height), np.ones_like(height)], axis=-1)
     world = (grid @ height_map.world_from_grid.T)[..., :3]
 
     limit = _STEEPEST_SLOPE * stride * height_map.pixel_size_um
