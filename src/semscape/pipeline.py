@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from typing import Any
@@ -16,7 +17,7 @@ from semscape.dense.mesh import height_map_mesh
 from semscape.dense.surface import dense_surface
 from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
-from semscape.options import Options
+from semscape.options import Options, RunOptions
 from semscape.report.summary import build_report, pair_figures
 from semscape.sfm.calibrate import calibrate, require_tilts
 from semscape.sfm.tracks import build_tracks
@@ -72,7 +73,9 @@ def reconstruct(
     (256, 256)
     """
     options = options or Options()
-    seed = options.run.seed if rng is None else rng
+    if rng is not None:
+        options = replace(options, run=RunOptions(seed=rng))
+    seed = options.run.seed
     stages = _Stages(progress)
     require_tilts(series)
     with local_mapper(workers) as mapper:
@@ -115,7 +118,6 @@ def reconstruct(
         pairs=pair_figures(series, matches, geometries, reconstruction.observations),
         keypoints=keypoints,
         options=options,
-        seed=seed,
         failures=tuple(failures),
     )
     return Result(series, keypoints, matches, geometries, reconstruction, surface.height_map, mesh, report)

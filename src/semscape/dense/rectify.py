@@ -36,7 +36,7 @@ class Frame:
 def rectified_frame(series: TiltSeries, reconstruction: Reconstruction) -> Frame:
     """Return the frame that holds the reference view's field and the parallax of all its points."""
     motion = reconstruction.motion
-    pixel_size = reference_pixel_size_um(reconstruction)
+    pixel_size = grid_pixel_size_um(series, reconstruction)
     sin, cos = np.sin(motion.axis_angle_rad), np.cos(motion.axis_angle_rad)
     # Columns: the world directions of u (across the axis, where a positive tilt moves a peak) and of v, which
     # is u turned clockwise on the screen.
@@ -54,9 +54,9 @@ def rectified_frame(series: TiltSeries, reconstruction: Reconstruction) -> Frame
     return Frame(world_from_frame, (rows, columns), pixel_size, parallax)
 
 
-def reference_pixel_size_um(reconstruction: Reconstruction) -> float:
-    """Return the pixel size of the reference view."""
-    return float(1 / reconstruction.motion.scale_px_per_um[reconstruction.reference])
+def grid_pixel_size_um(series: TiltSeries, reconstruction: Reconstruction) -> float:
+    """Return the pixel size of every grid: that of the reference view as told, before its drift."""
+    return float(series.pixel_size_um[reconstruction.reference])
 
 
 def warp_to_frame(view: Micrograph, index: int, motion: Motion, frame: Frame) -> tuple[ImageArray, BoolArray]:

@@ -28,7 +28,9 @@ _MAX_STEP_PX = 0.5
 _MAX_TOTAL_PX = 1.0
 _START_NOISE_PX = 0.6
 _MEDIAN_PX = 5
+# Patches smaller than this, and than this share of the field, that stand alone are chance agreements of noise.
 _ISLAND_AREA_PX = 200
+_ISLAND_SHARE = 3e-4
 _LEAST_CORRELATION = 0.3
 _FULL_CORRELATION = 0.7
 # Blur of the images, for the narrowest window; it grows with the window, for white noise falls with it.
@@ -110,7 +112,8 @@ def refine_heights(
     median = cv2.medianBlur(start.astype(np.float32), _MEDIAN_PX).astype(np.float64)
     chosen, n_views = np.where(stays, median, chosen), np.where(stays, at_start, n_views)
     variance = np.where(stays, (_START_NOISE_PX / baseline) ** 2, variance)
-    chosen = without_speckles(chosen * baseline, _ISLAND_AREA_PX) / baseline
+    island_px = max(_ISLAND_AREA_PX, int(_ISLAND_SHARE * height.size))
+    chosen = without_speckles(chosen * baseline, island_px) / baseline
     found = np.isfinite(chosen)
     return RefinedHeights(
         chosen, np.where(found, np.sqrt(variance), np.nan), np.where(found, n_views, 0).astype(np.uint8)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from semscape.dense.fuse import fuse, to_zero_tilt
-from semscape.dense.rectify import Frame, rectified_frame, reference_pixel_size_um, warp_to_frame
+from semscape.dense.rectify import Frame, grid_pixel_size_um, rectified_frame, warp_to_frame
 from semscape.dense.refine import refine_heights
 from semscape.dense.stereo import RectifiedView, pair_heights
 from semscape.errors import DegenerateGeometryError
@@ -111,7 +111,7 @@ def _height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[floa
 def _refined_map(
     series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray, options: DenseOptions
 ) -> HeightMap:
-    pixel_size = reference_pixel_size_um(reconstruction)
+    pixel_size = grid_pixel_size_um(series, reconstruction)
     rows, columns = series.shape
     world_from_grid = np.diag([pixel_size, -pixel_size, 1.0, 1.0])
     world_from_grid[:2, 3] = -pixel_size * (columns - 1) / 2, pixel_size * (rows - 1) / 2

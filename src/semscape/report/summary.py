@@ -38,7 +38,6 @@ def build_report(
     pairs: tuple[dict[str, Any], ...],
     keypoints: tuple[Keypoints, ...],
     options: Options,
-    seed: int,
     failures: tuple[str, ...],
 ) -> Report:
     """Return the report of a finished run: figures, verdict, and all that is needed to repeat it."""
@@ -46,7 +45,7 @@ def build_report(
     return Report(
         stages=stages,
         options=options.to_dict(),
-        seed=seed,
+        seed=options.run.seed,
         versions=_versions(),
         inputs=_inputs(series, keypoints),
         pairs=pairs,
