@@ -36,14 +36,21 @@ class HeightError:
 
 
 def tilt_figures(reconstruction: Reconstruction, truth: SimulationTruth) -> dict[str, Any]:
-    """Return the tilt errors per view in deg: as they are, without their common part, and the stage's own."""
+    """Return the tilt errors in deg: as they are, without what no image can tell, and the stage's own."""
     error = np.rad2deg(reconstruction.motion.tilt_rad - truth.motion.tilt_rad)
     stage = np.rad2deg(truth.stage_tilt_rad - truth.motion.tilt_rad)
+    # What the stage alone can tell: a common turn, and the height scale, to which all tilts are proportional.
+    true_tilt = np.rad2deg(truth.motion.tilt_rad)
+    design = np.column_stack([np.ones(len(error)), true_tilt - true_tilt.mean()])
+    seen_by_images = error - design @ np.linalg.lstsq(design, error, rcond=None)[0]
     return {
         "tilt_error_deg": _rounded(error, 4),
         "tilt_error_without_common_deg": _rounded(error - error.mean(), 4),
         "largest_tilt_error_without_common_deg": round(float(np.abs(error - error.mean()).max()), 4),
+        "tilt_rms_error_deg": round(float(np.sqrt(np.mean(error**2))), 4),
+        "largest_tilt_error_that_images_show_deg": round(float(np.abs(seen_by_images).max()), 4),
         "stage_tilt_error_deg": _rounded(stage, 4),
+        "stage_tilt_rms_error_deg": round(float(np.sqrt(np.mean(stage**2))), 4),
     }
 
 

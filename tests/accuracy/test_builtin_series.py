@@ -1,0 +1,50 @@
+"""The built-in simulated series: 5 views, +-6 deg, nominal faults, stage tilts with an error of 0.1 deg.
+
+Gates on both sides: a result that is too good fails as well. The images cannot see a common turn of all views, nor
+the height scale beyond what the stage tells (five readings of 0.1 deg over 12 deg: 1 %), so the tilts are judged
+by what is left, by their stated intervals, and against the stage.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from height_error import height_figures, tilt_figures
+
+import semscape
+from semscape.simulate import simulate
+from semscape.types import Result, SimulationTruth
+
+
+@pytest.fixture(scope="module")
+def built_in() -> tuple[Result, SimulationTruth]:
+    series, truth = simulate("fracture", rng=0)
+    return semscape.reconstruct(series, rng=0), truth
+
+
+@pytest.fixture(scope="module")
+def heights(built_in: tuple[Result, SimulationTruth]) -> dict[str, Any]:
+    result, truth = built_in
+    return height_figures(result.height_map, result.reconstruction, truth)
+
+
+def test_the_images_fix_the_tilts(built_in: tuple[Result, SimulationTruth]) -> None:
+    result, truth = built_in
+    figures = tilt_figures(result.reconstruction, truth)
+    assert 0.0005 < figures["largest_tilt_error_that_images_show_deg"] < 0.05
+    assert figures["tilt_rms_error_deg"] < figures["stage_tilt_rms_error_deg"]
+    error = result.reconstruction.motion.tilt_rad - truth.motion.tilt_rad
+    assert (np.abs(error) < 3 * result.reconstruction.tilt_sigma_rad).all()
+
+
+def test_the_heights(heights: dict[str, Any]) -> None:
+    assert 0.3 < heights["median_abs_error_px"] < 1.5
+    assert 0.90 < heights["completeness"] <= 1.0
+    assert 0.55 < heights["within_1_sigma"] < 0.80
+
+
+@pytest.mark.xfail(strict=True, reason="the goal; see docs/method.md, what limits the heights")
+def test_the_goal_for_the_heights(heights: dict[str, Any]) -> None:
+    assert heights["median_abs_error_px"] < 1.0
