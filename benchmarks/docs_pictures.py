@@ -19,7 +19,7 @@ from semscape.types import Result
 
 PICTURES = REPOSITORY / "docs" / "pictures"
 _LARGEST_BYTES = 500_000
-_COLOURS = 96
+_COLOURS = 256
 _README_SPECIMEN = "pollen"
 
 
@@ -42,7 +42,7 @@ def _side_by_side(result: Result) -> bytes:
     reference = result.reconstruction.reference
     view = result.series.views[reference]
     rows, cols = height_map.height_um.shape
-    extent = (0.0, cols * height_map.pixel_size_um, rows * height_map.pixel_size_um, 0.0)
+    extent = (0.0, cols * height_map.pixel_size_um, 0.0, rows * height_map.pixel_size_um)  # y up, as in the report
     shade = hillshade(height_map.height_um, height_map.pixel_size_um)
     low, high = np.nanpercentile(height_map.height_um, [0.2, 99.8])
     tilts = ", ".join(f"{tilt:+.1f}" for tilt in np.rad2deg(result.reconstruction.motion.tilt_rad))

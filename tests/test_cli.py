@@ -70,12 +70,14 @@ def test_help_loads_nothing_heavy() -> None:
         "except SystemExit: pass\n"
         "print([m for m in ('numpy', 'scipy', 'cv2', 'numba', 'matplotlib', 'trimesh') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
     assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_python_m_semscape_is_the_command() -> None:
-    done = subprocess.run([sys.executable, "-m", "semscape", "--version"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "semscape", "--version"], capture_output=True, encoding="utf-8", check=False
+    )
     assert (done.returncode, done.stdout) == (0, f"semscape {semscape.__version__}\n")
 
 
@@ -104,7 +106,10 @@ def test_tilts_may_begin_with_a_minus(images: Path, tmp_path: Path, seen, tilts:
 
 def test_flags_override_settings_and_settings_override_the_file(images: Path, tmp_path: Path, seen) -> None:
     file = tmp_path / "options.toml"
-    file.write_text("[input]\npixel_size_um = 0.3\n[sfm]\nprior_tilt_deg = 0.7\nprior_scale = 0.5\n[run]\nseed = 9\n")
+    file.write_text(
+        "[input]\npixel_size_um = 0.3\n[sfm]\nprior_tilt_deg = 0.7\nprior_scale = 0.5\n[run]\nseed = 9\n",
+        encoding="utf-8",
+    )
     base = ("reconstruct", images, "--options", file)
     assert run(*base, "-o", tmp_path / "a").exit_code == 0
     assert (seen["rng"], seen["options"].input.pixel_size_um, seen["options"].sfm.prior_scale) == (9, 0.3, 0.5)
@@ -159,7 +164,7 @@ def test_an_options_file_that_is_no_text_is_refused(images: Path, tmp_path: Path
 
 def test_an_output_that_cannot_be_written_is_said_before_the_work_starts(images: Path, tmp_path: Path, seen) -> None:
     file = tmp_path / "run"
-    file.write_text("")
+    file.write_text("", encoding="utf-8")
     for output, message in ((file, "a file stands in its place"), (images, "not an earlier run")):
         done = run("reconstruct", images, "-o", output)
         assert done.exit_code == 2
@@ -240,14 +245,14 @@ def test_simulate_writes_a_series_that_inspect_understands(tmp_path: Path) -> No
     done = run("simulate", "vickers", "-o", folder, "--size", "64x48", "--views", 3, "--step", 4, "--seed", 1)
     assert done.exit_code == 0, done.output
     assert f"3 views in {folder}" in done.stdout
-    assert json.loads((folder / "truth.json").read_text())["seed"] == 1
+    assert json.loads((folder / "truth.json").read_text(encoding="utf-8"))["seed"] == 1
     views = json.loads(run("inspect", folder, "--json").stdout)["views"]
     assert [view["tilt_deg"] for view in views] == [-4.0, 0.0, 4.0]
     assert (views[0]["width"], views[0]["height"]) == (64, 48)
 
 
 def test_simulate_keeps_foreign_files(tmp_path: Path) -> None:
-    (tmp_path / "holiday.tif").write_text("")
+    (tmp_path / "holiday.tif").write_text("", encoding="utf-8")
     done = run("simulate", "-o", tmp_path, "--size", "32")
     assert done.exit_code == 2
     assert "holiday.tif" in done.stderr

@@ -137,7 +137,7 @@ def test_the_options_file_repeats_the_run(folder: Path, run_folder: Path, tmp_pa
 
 def test_another_seed_gives_nearly_the_same_result(folder: Path, run_folder: Path) -> None:
     result = semscape.reconstruct(semscape.load_series(folder), rng=77)
-    told = json.loads((run_folder / "reconstruction.json").read_text())
+    told = json.loads((run_folder / "reconstruction.json").read_text(encoding="utf-8"))
     tilts = np.rad2deg(result.reconstruction.motion.tilt_rad)
     np.testing.assert_allclose(tilts, [view["tilt_deg"] for view in told["views"]], atol=0.05)
     assert result.report.seed == 77
@@ -155,7 +155,7 @@ def test_every_file_of_the_contract_is_there(run_folder: Path) -> None:
 
 
 def test_reconstruction_json_holds_the_contract(run_folder: Path) -> None:
-    told = json.loads((run_folder / "reconstruction.json").read_text())
+    told = json.loads((run_folder / "reconstruction.json").read_text(encoding="utf-8"))
     for key in ("axis_deg", "tilt_source", "height_scale_relative_sigma", "ambiguity", "rms_px", "n_tracks"):
         assert told[key] is not None, key
     assert (told["tilt_source"], told["ambiguity"]) == ("metadata", "none")
@@ -172,7 +172,7 @@ def test_reconstruction_json_holds_the_contract(run_folder: Path) -> None:
 def test_the_height_map_maps_into_the_world_and_the_views(run_folder: Path) -> None:
     """A point of the map, put through world_from_grid and a view's R and t, falls where the sparse points fall."""
     height_map = read_height_map(run_folder / "height_map.npz")
-    told = json.loads((run_folder / "reconstruction.json").read_text())
+    told = json.loads((run_folder / "reconstruction.json").read_text(encoding="utf-8"))
     with np.load(run_folder / "height_map.npz") as archive:
         assert {"height_um", "uncertainty_um", "pixel_size_um", "world_from_grid"} <= set(archive.files)
     known = np.isfinite(height_map.height_um)
@@ -204,7 +204,7 @@ def test_all_products_agree_with_each_other(run_folder: Path) -> None:
     assert low - 1e-4 <= mesh.bounds[0, 2] < mesh.bounds[1, 2] <= high + 1e-4
     assert np.median(mesh.face_normals[:, 2]) > 0
     points = trimesh.load(run_folder / "points.ply").vertices
-    told = json.loads((run_folder / "reconstruction.json").read_text())
+    told = json.loads((run_folder / "reconstruction.json").read_text(encoding="utf-8"))
     assert len(points) == told["n_tracks"]
     # Sparse and dense were measured by different means, and meet.
     matrix = np.linalg.inv(height_map.world_from_grid)
@@ -216,7 +216,7 @@ def test_all_products_agree_with_each_other(run_folder: Path) -> None:
 
 
 def test_the_report_holds_what_the_issue_asks_for(folder: Path, run_folder: Path) -> None:
-    report = json.loads((run_folder / "report.json").read_text())
+    report = json.loads((run_folder / "report.json").read_text(encoding="utf-8"))
     assert {"views", "pairs", "stages", "warnings", "options", "seed", "versions", "inputs", "metrics"} <= set(report)
     assert [stage["name"] for stage in report["stages"]] == ["detect", "match", "calibrate", "surface", "mesh"]
     assert len(report["pairs"]) == 3
@@ -232,8 +232,8 @@ def test_the_report_holds_what_the_issue_asks_for(folder: Path, run_folder: Path
         assert entry["digest"] == hashlib.sha256((folder / entry["name"]).read_bytes()).hexdigest()
     assert 0 < report["metrics"]["completeness"] <= 1
     assert report["options"]["run"]["seed"] == report["seed"] == 0
-    assert tomllib.loads((run_folder / "options.toml").read_text())["sfm"] == report["options"]["sfm"]
-    html = (run_folder / "report.html").read_text()
+    assert tomllib.loads((run_folder / "options.toml").read_text(encoding="utf-8"))["sfm"] == report["options"]["sfm"]
+    html = (run_folder / "report.html").read_text(encoding="utf-8")
     assert html.startswith("<!DOCTYPE html>")
     assert "http://" not in html.replace("http://www.w3.org", "")
 
@@ -257,8 +257,8 @@ def test_without_a_pixel_size_everything_says_px(folder: Path, tmp_path: Path) -
         tifffile.imwrite(images / path.name, tifffile.imread(path))  # the same pixels without a header
     done = run("reconstruct", images, "-o", tmp_path / "run", "--tilts", "-6,0,6")
     assert done.exit_code == 0, done.output
-    told = json.loads((tmp_path / "run" / "reconstruction.json").read_text())
-    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    told = json.loads((tmp_path / "run" / "reconstruction.json").read_text(encoding="utf-8"))
+    report = json.loads((tmp_path / "run" / "report.json").read_text(encoding="utf-8"))
     assert told["length_unit"] == report["length_unit"] == "px"
     assert told["tilt_source"] == "user"
 
@@ -315,5 +315,5 @@ def test_a_view_of_another_specimen_is_left_out_and_named(tmp_path: Path) -> Non
     assert any(mixed.names[3] in warning and "left out" in warning for warning in result.report.warnings)
     assert len(result.report.failures) == 3
     write_run(result, tmp_path / "run")
-    told = json.loads((tmp_path / "run" / "reconstruction.json").read_text())
+    told = json.loads((tmp_path / "run" / "reconstruction.json").read_text(encoding="utf-8"))
     assert [view["name"] for view in told["views"]] == list(mixed.names[:3])

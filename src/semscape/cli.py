@@ -136,7 +136,7 @@ def simulate(
     ] = None,
     preset: Annotated[str | None, typer.Option(metavar="NAME", help="Microscope: ideal, nominal or hard.")] = None,
     tilts: Annotated[str | None, typer.Option(help="Stage tilts in deg, like -6,-3,0,3,6.", metavar="LIST")] = None,
-    views: Annotated[int | None, typer.Option(min=1, metavar="N", help="Number of views about zero tilt.")] = None,
+    views: Annotated[int | None, typer.Option(min=2, metavar="N", help="Number of views about zero tilt.")] = None,
     step: Annotated[float | None, typer.Option(metavar="DEG", help="Tilt step between views in deg.")] = None,
     size: Annotated[
         str | None, typer.Option(metavar="SIZE", help="Size of the images in px, like 512 or 640x480.")

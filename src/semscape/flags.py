@@ -79,7 +79,10 @@ def simulation_options(
         changes |= {"width_px": int(width), "height_px": int(height or width)}
     if pixel_size_um is not None:
         changes["pixel_size_um"] = _positive("--pixel-size-um", pixel_size_um)
-    return replace(options, **changes)
+    options = replace(options, **changes)
+    if len(options.tilts_deg) < 2:
+        raise BadInputError(f"a tilt series needs at least 2 views, got {len(options.tilts_deg)}")
+    return options
 
 
 def _numbers(flag: str, text: str) -> tuple[float, ...]:

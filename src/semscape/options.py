@@ -1,7 +1,8 @@
 """One frozen dataclass of options per stage; the only place with defaults.
 
 Angles are in degrees here and in the options files, in radians everywhere else. `read_toml` and `to_toml`
-turn options into text and back; an unknown key is an error that names the nearest valid one.
+turn options into text and back; an unknown key is an error that names the nearest valid one, a value out of
+range one that names the range.
 """
 
 from __future__ import annotations
@@ -11,9 +12,68 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from semscape.errors import BadInputError
+
+
+class _Range(NamedTuple):
+    """Allowed values: from `least` to `most`, or above `least` where that itself is not one of them."""
+
+    least: float
+    most: float = math.inf
+    above: bool = False
+
+    def __contains__(self, value: Any) -> bool:
+        return (
+            math.isfinite(value) and (self.least < value if self.above else self.least <= value) and value <= self.most
+        )
+
+    def __str__(self) -> str:
+        lower = f"{'>' if self.above else '>='} {self.least:g}"
+        return lower if math.isinf(self.most) else f"{lower} and <= {self.most:g}"
+
+
+_POSITIVE = _Range(0, above=True)
+# Those of [input] are checked by `semscape.io.acquisition`, whose messages name the images and files.
+_RANGES = {
+    "features.contrast_threshold": _POSITIVE,
+    "features.normalization_sigma_px": _POSITIVE,
+    "features.max_keypoints": _Range(100),
+    "features.ratio": _Range(0, 1, above=True),
+    "robust.max_trials": _Range(10),
+    "robust.min_inliers": _Range(8),
+    "sfm.prior_tilt_deg": _POSITIVE,
+    "sfm.prior_roll_deg": _POSITIVE,
+    "sfm.prior_scale": _POSITIVE,
+    "sfm.prior_anisotropy": _POSITIVE,
+    "sfm.max_tilt_deg": _Range(0, 80, above=True),
+    "sfm.de_generations": _Range(1),
+    "sfm.de_population_per_variable": _Range(2),
+    "sfm.max_iterations": _Range(1),
+    "dense.max_pairs": _Range(1),
+    "dense.census_radius_px": _Range(1, 3),
+    "dense.penalty_small": _POSITIVE,
+    "dense.penalty_large": _POSITIVE,
+    "dense.left_right_limit_px": _POSITIVE,
+    "dense.refine_sigma_px": _Range(0.5),
+    "dense.refine_iterations": _Range(1),
+    "dense.mesh_max_vertices": _Range(4),
+    "run.seed": _Range(0),
+}
+# Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
+_CHOICES = {"features.detector": ["sift"]}
+
+
+class _Stage:
+    """What the options of every stage share: their values are checked when they are made."""
+
+    def __post_init__(self) -> None:
+        stage = type(self).__name__.removesuffix("Options").lower()
+        for key, value in vars(self).items():
+            allowed = _RANGES.get(f"{stage}.{key}")
+            if allowed is not None and value not in allowed:
+                raise BadInputError(f"option {stage}.{key} is {value}, must be {allowed}")
 
 
 @dataclass(frozen=True)
@@ -26,7 +86,7 @@ class InputOptions:
 
 
 @dataclass(frozen=True)
-class FeaturesOptions:
+class FeaturesOptions(_Stage):
     """Keypoints: detector, contrast threshold after local normalization, and the matching rules."""
 
     detector: str = "sift"
@@ -37,7 +97,7 @@ class FeaturesOptions:
 
 
 @dataclass(frozen=True)
-class RobustOptions:
+class RobustOptions(_Stage):
     """A contrario RANSAC per pair: largest number of trials, and the least number of inliers to keep a pair."""
 
     max_trials: int = 2000
@@ -45,7 +105,7 @@ class RobustOptions:
 
 
 @dataclass(frozen=True)
-class SfmOptions:
+class SfmOptions(_Stage):
     """Motion of the series: priors (1 sigma), Differential Evolution and bundle adjustment.
 
     `prior_tilt_deg` is the trust in a stage tilt that is known; `invert_relief` mirrors a self-calibrated
@@ -64,7 +124,7 @@ class SfmOptions:
 
 
 @dataclass(frozen=True)
-class DenseOptions:
+class DenseOptions(_Stage):
     """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits."""
 
     max_pairs: int = 6
@@ -76,9 +136,17 @@ class DenseOptions:
     refine_iterations: int = 3
     mesh_max_vertices: int = 400_000
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.penalty_small > self.penalty_large:
+            raise BadInputError(
+                f"option dense.penalty_small is {self.penalty_small}, must be <= dense.penalty_large, "
+                f"{self.penalty_large}"
+            )
+
 
 @dataclass(frozen=True)
-class RunOptions:
+class RunOptions(_Stage):
     """The seed from which every random stream of a run derives."""
 
     seed: int = 0
@@ -107,9 +175,9 @@ class Options:
         Raises
         ------
         BadInputError
-            For a setting without "=", an unknown key or a value of the wrong type.
+            For a setting without "=", an unknown key, or a value of the wrong type or out of range.
         """
-        options = self
+        tables: dict[str, dict[str, Any]] = {}
         for setting in settings:
             name, equals, text = setting.partition("=")
             if not equals or name.count(".") != 1:
@@ -121,8 +189,8 @@ class Options:
                 value = tomllib.loads(f"value = {text}")["value"]
             except tomllib.TOMLDecodeError:
                 value = text.strip()
-            options = options.with_values({stage: {key: value}})
-        return options
+            tables.setdefault(stage, {})[key] = value
+        return self.with_values(tables)
 
     def with_values(self, tables: Mapping[str, Mapping[str, Any]]) -> Options:
         """Return options with the values of nested tables, as a TOML file holds them, put in.
@@ -130,7 +198,7 @@ class Options:
         Raises
         ------
         BadInputError
-            For an unknown stage or key, or a value of the wrong type.
+            For an unknown stage or key, or a value of the wrong type or out of range.
         """
         stages: dict[str, Any] = {}
         for stage, values in tables.items():
@@ -166,7 +234,7 @@ def read_toml(text: str) -> Options:
     Raises
     ------
     BadInputError
-        For text that is not TOML, an unknown key or a value of the wrong type.
+        For text that is not TOML, an unknown key, or a value of the wrong type or out of range.
     """
     try:
         tables = tomllib.loads(text)
@@ -195,6 +263,8 @@ def _coerce(name: str, default: Any, value: Any) -> Any:
         if _is_number(value):
             return float(value)
     elif isinstance(value, str):
+        if name in _CHOICES:
+            _require_known(value, _CHOICES[name], f"option {name} has no choice")
         return value
     kind = "list of numbers" if isinstance(default, tuple) else type(default).__name__
     raise BadInputError(f"option {name} takes a {kind}, got {value!r}")

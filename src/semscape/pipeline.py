@@ -19,7 +19,8 @@ from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
 from semscape.options import Options, RunOptions
 from semscape.report.summary import build_report, pair_figures
-from semscape.sfm.calibrate import calibrate, require_tilts
+from semscape.sfm.calibrate import calibrate
+from semscape.sfm.plausibility import require_tilts
 from semscape.sfm.tracks import build_tracks
 from semscape.sfm.two_view import Pair, largest_connected_set, match_pair, renumber
 from semscape.types import Keypoints, Matches, Result, StageReport, TiltSeries, TwoViewGeometry
@@ -74,7 +75,9 @@ def reconstruct(
     """
     options = options or Options()
     if rng is not None:
-        options = replace(options, run=RunOptions(seed=rng))
+        if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
+            raise ValueError(f"rng must be a seed, a whole number >= 0, got {rng!r}")
+        options = replace(options, run=RunOptions(seed=int(rng)))
     seed = options.run.seed
     stages = _Stages(progress)
     require_tilts(series)

@@ -222,6 +222,7 @@ class Reconstruction(_Value):
     tilt, roll, relative scale, anisotropy, x and y translation (rad, rad, 1, 1, px, px).
     `residual_px` (K, 2) and `weights` (K,) belong to the observations; an observation of weight 0 was rejected.
     `tilt_prior_rad` is the stage's tilt (NaN where unknown), `reference` the view closest to zero tilt.
+    `contradictions` says where the images disagree with what was told: such a result must not be measured.
     """
 
     motion: Motion
@@ -241,6 +242,7 @@ class Reconstruction(_Value):
     reference: int
     length_unit: LengthUnit
     warnings: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from height_error import height_figures, tilt_figures
 
 import semscape
+from height_error import height_figures, tilt_figures
 from semscape.simulate import simulate
 from semscape.types import Result, SimulationTruth
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from accuracy import specimen_mask
 
 import semscape
+from accuracy import specimen_mask
 
 pytestmark = pytest.mark.real_data
 

@@ -9,7 +9,8 @@ import pytest
 
 from semscape.errors import BadInputError, DegenerateGeometryError, TooFewMatchesError
 from semscape.options import SfmOptions
-from semscape.sfm.calibrate import Calibration, calibrate, require_tilts, shared_points
+from semscape.sfm.calibrate import Calibration, calibrate
+from semscape.sfm.plausibility import require_tilts, shared_points
 from semscape.sfm.relief import relief_vote
 from semscape.types import Observations
 from synthetic_tracks import PIXEL_UM, SIZE_PX, Tracks, make_tracks, relief_px
@@ -189,7 +190,7 @@ def test_a_common_offset_of_the_stage_stays_a_common_tilt() -> None:
 def test_a_mistyped_tilt_is_named() -> None:
     wrong = (-8.0, -4.0, 0.0, 14.0, 8.0)
     found = solve(make_tracks(TILTS, stage_deg=wrong, seen=1.0)).reconstruction
-    assert any(w.startswith("view_3.tif: the stage says 14.00 deg") for w in found.warnings), found.warnings
+    assert any(w.startswith("view_3.tif: the stage says 14.00 deg") for w in found.contradictions), found.contradictions
 
 
 def test_without_a_pixel_size_lengths_are_px() -> None:
@@ -305,3 +306,28 @@ def test_shared_points_are_paired_by_track() -> None:
     )
     xy1, xy2 = shared_points(observations, 0, 1)
     assert (xy1.tolist(), xy2.tolist()) == ([[0.0, 1.0]], [[2.0, 3.0]])
+
+
+def test_plain_series_contradict_nothing(staged: tuple[Calibration, Tracks]) -> None:
+    assert staged[0].reconstruction.contradictions == ()
+    assert solve(make_tracks(TILTS)).reconstruction.contradictions == ()
+
+
+def test_swapped_files_are_noticed() -> None:
+    """Three views bend to tilts in the wrong order at a low residual; the anisotropies give it away."""
+    found = solve(make_tracks((-6.0, 0.0, 6.0), stage_deg=(0.0, -6.0, 6.0))).reconstruction
+    assert found.contradictions
+
+
+def test_a_wrong_axis_is_noticed() -> None:
+    tracks = make_tracks((-6.0, 0.0, 6.0), stage_deg=(-6.0, 0.0, 6.0), axis_deg=88.0)
+    views = tuple(
+        replace(view, metadata=replace(view.metadata, tilt_axis_angle_rad=0.0)) for view in tracks.series.views
+    )
+    wrong = replace(tracks, series=replace(tracks.series, views=views))
+    assert any("tilt axis is said to lie at 0.0 deg" in text for text in solve(wrong).reconstruction.contradictions)
+
+
+def test_told_tilts_without_parallax_are_doubted() -> None:
+    found = solve(make_tracks((0.0, 0.0, 0.0), stage_deg=(-5.0, 0.0, 5.0), noise_px=0.1)).reconstruction
+    assert any("no parallax" in text for text in found.contradictions)

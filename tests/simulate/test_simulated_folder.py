@@ -37,7 +37,7 @@ def test_truth_comes_back(tmp_path: Path, simulation: tuple[TiltSeries, Simulati
     assert (back.seed, back.pixel_size_um, dict(back.settings)) == (5, 0.1, dict(truth.settings))
     assert not list(tmp_path.glob(".*"))
 
-    told = json.loads((folder / "truth.json").read_text())
+    told = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     assert [view["stage_tilt_deg"] for view in told["views"]] == pytest.approx([-6, -2.95, 6])
     mesh = trimesh.load(folder / "truth_mesh.ply", process=False)
     assert len(mesh.vertices) == 160 * 128
@@ -91,11 +91,11 @@ def test_earlier_simulation_is_replaced_and_other_folders_are_refused(
     fewer = simulate("spheres", replace(OPTIONS, tilts_deg=(-1.0, 1.0)))
     write_simulated_series(folder, *fewer)
     assert sorted(path.name for path in folder.glob("*.tif")) == ["view_00_-01.00deg.tif", "view_01_+01.00deg.tif"]
-    (folder / "thesis.txt").write_text("keep me")
+    (folder / "thesis.txt").write_text("keep me", encoding="utf-8")
     with pytest.raises(BadInputError, match=r"1 other file.*thesis\.txt"):
         write_simulated_series(folder, series, truth)
     assert read_truth(folder).motion.n_views == 2
-    (tmp_path / "file").write_text("")
+    (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(BadInputError, match="a file stands in its place"):
         write_simulated_series(tmp_path / "file", series, truth)
 

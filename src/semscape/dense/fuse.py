@@ -32,7 +32,6 @@ def to_zero_tilt(height_px: FloatArray, parallax: float) -> FloatArray:
             if np.isnan(h2) or abs(u2 - u1) > _STRETCH_LIMIT_PX:
                 h2, u2 = h1, u1 + 0.5  # an end of the surface still covers half a pixel beyond
                 u1 = u1 - 0.5
-                h1 = h2
             if u2 < u1:
                 u1, u2, h1, h2 = u2, u1, h2, h1
             for target in range(max(int(np.ceil(u1)), 0), min(int(np.floor(u2)), columns - 1) + 1):

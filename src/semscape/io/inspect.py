@@ -64,7 +64,7 @@ def _describe(view: Micrograph, warnings: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _names(text: str, name: str) -> bool:
-    return re.search(rf"(?<![\w.-]){re.escape(name)}(?![\w-])", text) is not None
+    return re.search(rf"(?<![\w.-]){re.escape(name)}(?![\w-]|\.\w)", text) is not None
 
 
 def _deg(angle_rad: float | None) -> float:

@@ -130,12 +130,15 @@ def reconstruction_to_dict(reconstruction: Reconstruction, names: Sequence[str])
     motion, unit = reconstruction.motion, reconstruction.length_unit
     rotation = tilted_cam_from_world(motion.axis_angle_rad, motion.tilt_rad, motion.roll_rad)
     sigma = _parameter_sigma(reconstruction)
+    tilt_sigma_rad = reconstruction.tilt_sigma_rad.copy()
+    if reconstruction.tilt_source == "self-calibrated":
+        tilt_sigma_rad[reconstruction.reference] = 0.0  # held at zero by choice: there is nothing to be unsure of
     scale = motion.scale_px_per_um
     views = [
         {
             "name": name,
             "tilt_deg": math.degrees(motion.tilt_rad[i]),
-            "tilt_sigma_deg": math.degrees(reconstruction.tilt_sigma_rad[i]),
+            "tilt_sigma_deg": math.degrees(tilt_sigma_rad[i]),
             "stage_tilt_deg": math.degrees(reconstruction.tilt_prior_rad[i]),
             "roll_deg": math.degrees(motion.roll_rad[i]),
             "roll_sigma_deg": math.degrees(sigma[i, 1]),

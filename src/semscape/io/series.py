@@ -20,15 +20,19 @@ from semscape.options import InputOptions
 from semscape.types import Micrograph, TiltSeries
 
 _DEFAULT_OPTIONS = InputOptions()
+_SIDE_SUFFIXES = {".txt", ".hdr", ".json", ".toml", ".npz", ".ply", ".csv", ".md"}
+_SIDE_NAMES = {"truth", "thumbs.db", "desktop.ini"}
+_MOST_NAMED = 5
 
 
 def load_series(folder: str | Path, options: InputOptions = _DEFAULT_OPTIONS) -> TiltSeries:
     """Load every image of a folder as one tilt series.
 
     Files are sorted naturally (img2 before img10); hidden files and files that are no images by name are
-    ignored. Tilts, pixel size and tilt axis come from `options`, else from `series.toml` in the folder, else
-    from the files' headers; each view's `metadata.source` says which. Given tilts belong to the
-    naturally sorted files. The views are then ordered by tilt where every tilt is known.
+    ignored, the latter with a warning unless they are of a kind that lies beside images. Tilts, pixel size and
+    tilt axis come from `options`, else from `series.toml` in the folder, else from the files' headers; each view's
+    `metadata.source` says which. Given tilts belong to the naturally sorted files. The views are then ordered by
+    tilt where every tilt is known.
 
     Parameters
     ----------
@@ -49,7 +53,7 @@ def load_series(folder: str | Path, options: InputOptions = _DEFAULT_OPTIONS) ->
         without contrast, the same image twice, or values out of range.
     """
     folder = Path(folder)
-    paths = _image_paths(folder)
+    paths, ignored_warnings = _image_paths(folder)
     names = [path.name for path in paths]
     given = read_given_acquisition(folder, options, names)
     views: list[Micrograph] = []
@@ -68,7 +72,8 @@ def load_series(folder: str | Path, options: InputOptions = _DEFAULT_OPTIONS) ->
     tilts = np.array([view.metadata.tilt_rad for view in views])
     if np.isfinite(tilts).all():
         views = [views[i] for i in np.argsort(tilts, kind="stable")]
-    return TiltSeries(views=tuple(views), warnings=(*_merge_notes(notes), *bar_warnings, *metadata_warnings))
+    warnings = (*ignored_warnings, *_merge_notes(notes), *bar_warnings, *metadata_warnings)
+    return TiltSeries(views=tuple(views), warnings=warnings)
 
 
 def natural_key(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:
@@ -84,7 +89,8 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:
     return key, name
 
 
-def _image_paths(folder: Path) -> list[Path]:
+def _image_paths(folder: Path) -> tuple[list[Path], list[str]]:
+    """Return the images of a folder, and a warning about other files that nobody would expect beside them."""
     if not folder.exists():
         raise BadInputError(f"{folder}: there is no such folder; give the folder that holds the images")
     if not folder.is_dir():
@@ -107,7 +113,22 @@ def _image_paths(folder: Path) -> list[Path]:
             f"{folder}: only one image ({paths[0].name}); height needs at least two images of the specimen at "
             f"different tilts ({kinds})"
         )
-    return paths
+    return paths, _ignored_warnings([path for path in entries if path not in paths])
+
+
+def _ignored_warnings(others: Sequence[Path]) -> list[str]:
+    names = sorted(
+        (
+            path.name
+            for path in others
+            if path.suffix.lower() not in _SIDE_SUFFIXES and not {path.name.lower(), path.stem.lower()} & _SIDE_NAMES
+        ),
+        key=natural_key,
+    )
+    if not names:
+        return []
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return [f"ignored: {', '.join(names[:_MOST_NAMED])}{more} (no image suffix)"]
 
 
 def _require_one_size(folder: Path, views: Sequence[Micrograph]) -> None:

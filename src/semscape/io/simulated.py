@@ -6,6 +6,8 @@
     FOLDER/truth_mesh.ply              the surface in um, z up
 
 File names and truth.json tell tilts in semscape's sign; the header tells them in the vendor's, see `io.zeiss`.
+The simulated stage tilts about the image's vertical axis (90 deg) by default, as if scanned with the image turned;
+a real Zeiss stage at scan rotation 0 tilts about the horizontal one.
 """
 
 from __future__ import annotations
@@ -31,13 +33,15 @@ from semscape.types import Micrograph, Motion, SimulationTruth, SurfaceMesh, Til
 TRUTH_JSON, TRUTH_NPZ, TRUTH_MESH = "truth.json", "truth.npz", "truth_mesh.ply"
 FORMAT = "semscape-simulation-1"
 
-_OWN_NAME = re.compile(r"view_\d+_[-+][\d.]+deg\.tif|truth\.json|truth\.npz|truth_mesh\.ply")
+_OWN_NAME = re.compile(r"view_\d+_[-+][\d.]+deg\.tif|truth\.json|truth\.npz|truth_mesh\.ply|\.semscape-partial-.*")
 _MESH_MAX_VERTICES = 160_000
 _PALETTE_INDEX = np.arange(256, dtype=np.uint16) * 257
 
 
 def write_simulated_series(folder: Path | str, series: TiltSeries, truth: SimulationTruth) -> Path:
-    """Write a simulated series and its truth; the folder appears whole or not at all.
+    """Write a simulated series and its truth; a new folder appears whole or not at all.
+
+    A folder that exists is kept, for a shell may stand in it, and filled: truth.json comes last.
 
     Parameters
     ----------
@@ -58,24 +62,25 @@ def write_simulated_series(folder: Path | str, series: TiltSeries, truth: Simula
     BadInputError
         If the folder is a file, holds other files, or cannot be written.
     """
-    path = Path(folder)
+    path = Path(folder).resolve()
     _require_own(path)
     files = {view.name: _encode_view(view) for view in series.views}
     files[TRUTH_NPZ] = _encode_truth_arrays(truth)
     files[TRUTH_MESH] = encode_mesh_ply(_truth_mesh(truth))
     files[TRUTH_JSON] = json_text(_truth_to_dict(truth, series.names)).encode()
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    outdated = path.with_name(f".{path.name}.{os.getpid()}.outdated")
     try:
+        if path.exists():
+            for name in {entry.name for entry in path.glob("view_*.tif")} - files.keys():
+                (path / name).unlink()
+            put_files(files, path)
+            return path
         partial.mkdir(parents=True)
         try:
             put_files(files, partial)
-            if path.exists():
-                path.rename(outdated)
             partial.rename(path)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-            shutil.rmtree(outdated, ignore_errors=True)
     except OSError as error:
         raise BadInputError(f"the simulation cannot be written to {path}: {error.strerror or error}") from error
     return path

@@ -20,7 +20,7 @@ from semscape.report.figures import (
 from semscape.report.json import report_to_dict
 from semscape.report.markup import figure, fixed, percent, plus_minus, table, with_sigma
 from semscape.report.style import STYLE
-from semscape.report.wording import UNIT_SIGNS, Z_95, label, number, two_digits, value_text
+from semscape.report.wording import UNIT_SIGNS, Z_95, held_text, is_held, label, number, two_digits, value_text
 from semscape.types import LengthUnit, Result
 
 _VERDICTS = {"good": "good", "usable": "warn", "do not": "bad"}
@@ -160,7 +160,9 @@ def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
     rows = [
         [
             view["name"] + (" (reference)" if view["name"] == reference else ""),
-            with_sigma(view["tilt_deg"], view["tilt_sigma_deg"]),
+            held_text(view["tilt_deg"])
+            if is_held(view, report)
+            else with_sigma(view["tilt_deg"], view["tilt_sigma_deg"]),
             number(view["stage_tilt_deg"]),
             with_sigma(view["roll_deg"], view["roll_sigma_deg"]),
             with_sigma(view[f"scale_px_per_{unit}"], view[f"scale_sigma_px_per_{unit}"]),

@@ -50,7 +50,7 @@ def build_report(
         inputs=_inputs(series, keypoints),
         pairs=pairs,
         metrics=metrics,
-        warnings=(*series.warnings, *reconstruction.warnings),
+        warnings=(*series.warnings, *reconstruction.contradictions, *reconstruction.warnings),
         failures=failures,
         verdict=_verdict(reconstruction, metrics),
         peak_memory_mb=peak_memory_mb(),
@@ -118,6 +118,8 @@ def _metrics(
 
 def _verdict(reconstruction: Reconstruction, metrics: dict[str, Any]) -> str:
     """Say in plain words what the result may be used for."""
+    if reconstruction.contradictions:
+        return f"do not measure: the images contradict what was told of them. {reconstruction.contradictions[0]}"
     scale = Z_95 * reconstruction.height_scale_relative_sigma
     if scale > _USABLE_HEIGHT_SCALE:
         return (

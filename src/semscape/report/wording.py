@@ -134,6 +134,22 @@ def inline_label(key: str) -> str:
     return name if name[1:2].isupper() else name[:1].lower() + name[1:]
 
 
+def is_held(view: Mapping[str, Any], report: Mapping[str, Any]) -> bool:
+    """Tell whether a view of a report has its tilt by choice: the reference of a self-calibrated series."""
+    return bool(report["tilt_source"] == "self-calibrated" and view["name"] == report["reference_view"])
+
+
+def held_text(tilt_deg: float) -> str:
+    """Return a tilt that is held, which has no uncertainty.
+
+    Examples
+    --------
+    >>> held_text(-1e-9)
+    '0 (held)'
+    """
+    return f"{number(round(tilt_deg, 3) + 0.0)} (held)"
+
+
 def _item_text(item: Any) -> str:
     """Return an item of a list; an inner list, like a pair of views, gets dashes."""
     if isinstance(item, str):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from semscape.errors import BadInputError, DegenerateGeometryError, TooFewMatchesError
+from semscape.errors import BadInputError, TooFewMatchesError
 from semscape.geometry.cameras import camera_matrices
 from semscape.geometry.rotations import wrap_axis_angle
 from semscape.options import SfmOptions
@@ -18,6 +18,13 @@ from semscape.sfm.adjust import (
 )
 from semscape.sfm.eliminated import pattern_scatters
 from semscape.sfm.evolve import Evolution, evolve
+from semscape.sfm.plausibility import (
+    height_scale_warnings,
+    prior_contradictions,
+    require_parallax,
+    require_tilts,
+    stage_contradictions,
+)
 from semscape.sfm.priors import MotionPrior, motion_prior
 from semscape.sfm.relief import relief_vote
 from semscape.types import (
@@ -34,12 +41,6 @@ from semscape.types import (
 _START_NOISE_PX = 0.4
 _REJECT_IN_SIGMAS = 5.0
 _LEAST_TRACKS = 24
-_LEAST_PARALLAX_PX = 0.5
-_PARALLAX_OVER_NOISE = 2.0
-_LEAST_SHARED = 8
-_LEAST_TILT_SPAN_DEG = 0.2
-_WIDE_HEIGHT_SCALE = 0.05
-_DISAGREEMENT_IN_SIGMAS = 3.0
 _CERTAIN_VOTE = 0.98
 
 
@@ -51,26 +52,6 @@ class Calibration:
     evolution: Evolution
     sigma_px: float
     overdispersion: float
-
-
-def require_tilts(series: TiltSeries) -> None:
-    """Refuse two views without tilts, which no method can turn into heights.
-
-    Raises
-    ------
-    BadInputError
-        For two views of which not both have a tilt.
-
-    References
-    ----------
-    Koenderink & van Doorn 1991, doi:10.1364/JOSAA.8.000377.
-    """
-    if series.n_views == 2 and not np.isfinite(series.tilt_rad).all():
-        raise BadInputError(
-            f"two views ({', '.join(series.names)}) without stage tilts: two parallel projections show the same "
-            "pictures for a low relief tilted far and a high relief tilted little (bas-relief ambiguity), so no "
-            "height can be computed. Give the tilts (--tilts -3,3, or tilts_deg in series.toml), or add a third view"
-        )
 
 
 def calibrate(
@@ -105,10 +86,14 @@ def calibrate(
             "check that all images show the same field of the specimen, or tilt in smaller steps"
         )
     prior = motion_prior(series, options)
-    _require_parallax(series, observations, prior)
+    doubts = require_parallax(series, observations, prior)
 
     patterns = pattern_scatters(observations, series.n_views, np.ones(observations.n_points))
     evolution = evolve(patterns, prior, _START_NOISE_PX, options, rng=rng)
+    if not prior.self_calibrated and series.n_views > 2:
+        unbound = evolve(patterns, prior.without_stage(), _START_NOISE_PX, options, rng=rng)
+        n_free = 2 * len(observations.view) - 3 * observations.n_points
+        doubts += stage_contradictions(patterns, evolution.parameters, unbound.parameters, n_free, prior)
     first = adjust(
         _start_parameters(evolution.parameters, observations, series.n_views),
         observations,
@@ -120,7 +105,9 @@ def calibrate(
         first.residual_px[keep], kept, first.weights[keep], first.sigma_px, series.n_views
     )
     final = adjust(first.parameters, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion)
-    return Calibration(_reconstruction(series, kept, final, prior, options), evolution, final.sigma_px, overdispersion)
+    return Calibration(
+        _reconstruction(series, kept, final, prior, options, doubts), evolution, final.sigma_px, overdispersion
+    )
 
 
 def _start_parameters(searched: FloatArray, observations: Observations, n_views: int) -> FloatArray:
@@ -134,52 +121,6 @@ def _start_parameters(searched: FloatArray, observations: Observations, n_views:
         count = np.maximum(np.bincount(observations.view, minlength=n_views), 1)
         parameters[5 + axis :: PARAMETERS_PER_VIEW] = total / count
     return parameters
-
-
-def _require_parallax(series: TiltSeries, observations: Observations, prior: MotionPrior) -> None:
-    """Refuse views that differ by no more than an affine map, unless the stage gives different tilts."""
-    if not prior.self_calibrated:
-        span = float(np.rad2deg(np.nanmax(prior.tilt_rad) - np.nanmin(prior.tilt_rad)))
-        if span < _LEAST_TILT_SPAN_DEG:
-            raise DegenerateGeometryError(
-                f"the stage tilts span {span:.2f} deg, need {_LEAST_TILT_SPAN_DEG}: without a change of tilt there is "
-                "no parallax, so no height"
-            )
-        return
-    largest = 0.0
-    for i1 in range(series.n_views):
-        for i2 in range(i1 + 1, series.n_views):
-            largest = max(largest, _parallax_px(observations, i1, i2))
-    if largest < _LEAST_PARALLAX_PX:
-        raise DegenerateGeometryError(
-            f"no parallax: between any two of {series.n_views} views the points move by at most {largest:.2f} px rms "
-            f"along one direction against a common affine map, need {_LEAST_PARALLAX_PX} px. The images are the same "
-            "picture, the specimen is flat, or the tilts are too small; give the stage tilts (--tilts) or tilt farther"
-        )
-
-
-def _parallax_px(observations: Observations, i1: int, i2: int) -> float:
-    """Return how far the points of two views spread along their parallax, beyond noise, in px rms.
-
-    About the affine map between the views, parallax acts along one direction and noise along both.
-    """
-    xy1, xy2 = shared_points(observations, i1, i2)
-    if len(xy1) < _LEAST_SHARED:
-        return 0.0
-    design = np.column_stack([xy1 - xy1.mean(axis=0), np.ones(len(xy1))])
-    solution, *_ = np.linalg.lstsq(design, xy2, rcond=None)
-    residual = xy2 - design @ solution
-    length = np.linalg.norm(residual, axis=1)
-    residual = residual[length <= 5 * np.median(length) + 1e-12]
-    across, along = np.linalg.eigvalsh(residual.T @ residual / len(residual))
-    return float(np.sqrt(along - across)) if along > _PARALLAX_OVER_NOISE * across else 0.0
-
-
-def shared_points(observations: Observations, i1: int, i2: int) -> tuple[FloatArray, FloatArray]:
-    """Return the px points (S, 2) in views i1 and i2 of the tracks that both see."""
-    in1, in2 = observations.view == i1, observations.view == i2
-    _, at1, at2 = np.intersect1d(observations.point[in1], observations.point[in2], return_indices=True)
-    return observations.xy[in1][at1], observations.xy[in2][at2]
 
 
 def _without_outliers(observations: Observations, adjustment: Adjustment) -> tuple[Observations, BoolArray]:
@@ -196,7 +137,12 @@ def _without_outliers(observations: Observations, adjustment: Adjustment) -> tup
 
 
 def _reconstruction(
-    series: TiltSeries, observations: Observations, final: Adjustment, prior: MotionPrior, options: SfmOptions
+    series: TiltSeries,
+    observations: Observations,
+    final: Adjustment,
+    prior: MotionPrior,
+    options: SfmOptions,
+    doubts: list[str],
 ) -> Reconstruction:
     motion = _motion(final.parameters, prior)
     points = final.points_um
@@ -215,7 +161,8 @@ def _reconstruction(
     gradient = deviation / max(float(deviation @ deviation), 1e-18)
     height_scale_sigma = float(np.sqrt(gradient @ tilt_covariance @ gradient))
     tilt_sigma = np.sqrt(np.diag(tilt_covariance))
-    warnings += _tilt_warnings(series, motion, tilt_sigma, prior, height_scale_sigma)
+    contradictions = [*doubts, *prior_contradictions(series.names, final.parameters, prior)]
+    warnings += height_scale_warnings(height_scale_sigma, prior)
     source: TiltSource = "self-calibrated" if prior.self_calibrated else _told_by(series)
     return Reconstruction(
         motion=motion,
@@ -235,6 +182,7 @@ def _reconstruction(
         reference=prior.reference,
         length_unit=series.length_unit,
         warnings=tuple(warnings),
+        contradictions=tuple(contradictions),
     )
 
 
@@ -280,13 +228,13 @@ def _relief_sign(
     seen = observations.point[in_reference]
     correlation, confidence = relief_vote(series.views[prior.reference], observations.xy[in_reference], points[seen, 2])
     if not prior.self_calibrated:
-        doubts = []
+        against = []
         if correlation < 0 and confidence > _CERTAIN_VOTE:
-            doubts.append(
+            against.append(
                 f"the shading contradicts the sign of the tilts (confidence {confidence:.0%}): if hills come out as "
                 "pits, give the tilts with the opposite signs (--tilts)"
             )
-        return 1.0, "none", 1.0, doubts
+        return 1.0, "none", 1.0, against
     sign = -1.0 if correlation < 0 else 1.0
     voted = "up"
     if options.invert_relief:
@@ -301,26 +249,3 @@ def _relief_sign(
 def _told_by(series: TiltSeries) -> TiltSource:
     sources = {view.metadata.source.get("tilt_rad") for view in series.views}
     return "metadata" if sources <= {"file", None} else "user"
-
-
-def _tilt_warnings(
-    series: TiltSeries, motion: Motion, tilt_sigma: FloatArray, prior: MotionPrior, height_scale_sigma: float
-) -> list[str]:
-    warnings = []
-    if height_scale_sigma > _WIDE_HEIGHT_SCALE:
-        reason = (
-            "the tilts come from the images alone, where a scan anisotropy of 0.05 % already moves them; give the "
-            "stage tilts (--tilts) or take more views over a wider range"
-            if prior.self_calibrated
-            else "the tilt range is small against the stage's error; tilt farther"
-        )
-        warnings.append(f"height scale known to +-{196 * height_scale_sigma:.0f} % (95 %) only: {reason}")
-    told = np.isfinite(prior.tilt_sigma_rad) & ~np.full(len(tilt_sigma), prior.self_calibrated)
-    for view in np.flatnonzero(told):
-        change = motion.tilt_rad[view] - prior.tilt_rad[view]
-        if abs(change) > _DISAGREEMENT_IN_SIGMAS * prior.tilt_sigma_rad[view]:
-            warnings.append(
-                f"{series.names[view]}: the stage says {np.rad2deg(prior.tilt_rad[view]):.2f} deg, the images say "
-                f"{np.rad2deg(motion.tilt_rad[view]):.2f} deg; mistyped tilt, wrong sign or swapped files?"
-            )
-    return warnings

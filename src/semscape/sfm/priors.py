@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from semscape.types import FloatArray, TiltSeries
 
 # An axis told by the user is trusted to this; without one the axis is free.
 _AXIS_SIGMA_RAD = np.deg2rad(2.0)
+# The reference's tilt is a choice, held so tightly that nothing moves it.
+_HELD_DEG = 1e-4
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,17 @@ class MotionPrior:
         """True when no two views have a stage tilt, so that the images alone fix the height scale."""
         return int(np.isfinite(self.tilt_sigma_rad).sum()) < 2
 
+    def without_stage(self) -> MotionPrior:
+        """Return the prior of somebody who knows neither tilts nor axis: the reference is held, the rest is free."""
+        held = np.arange(self.n_views) == self.reference
+        return replace(
+            self,
+            tilt_rad=np.where(held, self.tilt_rad, np.nan),
+            tilt_sigma_rad=np.where(held, np.deg2rad(_HELD_DEG), np.inf),
+            axis_angle_rad=np.nan,
+            axis_sigma_rad=np.inf,
+        )
+
     def centre_and_sigma(self) -> tuple[FloatArray, FloatArray]:
         """Return mean and sigma of the parameters [axis, (tilt, roll, relative scale, anisotropy) per view]."""
         views = self.n_views
@@ -66,7 +79,7 @@ def motion_prior(series: TiltSeries, options: SfmOptions) -> MotionPrior:
     sigma = np.where(known, np.deg2rad(options.prior_tilt_deg), np.inf)
     if known.sum() < 2:
         tilt = np.where(np.arange(series.n_views) == reference, np.where(known, tilt, 0.0), np.nan)
-        sigma = np.where(np.arange(series.n_views) == reference, np.deg2rad(1e-4), np.inf)
+        sigma = np.where(np.arange(series.n_views) == reference, np.deg2rad(_HELD_DEG), np.inf)
     axes = np.array([view.metadata.tilt_axis_angle_rad for view in series.views])
     axis = float(np.mean(axes[np.isfinite(axes)])) if np.isfinite(axes).any() else np.nan
     return MotionPrior(
