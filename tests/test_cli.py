@@ -139,6 +139,7 @@ def test_without_flags_the_options_are_the_defaults(images: Path, tmp_path: Path
         (["--tilts", "-7,x,7"], "--tilts '-7,x,7' is not a list of numbers"),
         (["--tilts", "-7,nan,7"], "is not a list of numbers"),
         (["--set", "sfm.prior_tilt=1"], "the nearest one is 'prior_tilt_deg'"),
+        (["--set", "sfm.prior_tilt_deg=0"], "option sfm.prior_tilt_deg is 0, must be > 0"),
         (["--set", "sfm"], "not of the form stage.key=value"),
         (["--options", "missing.toml"], "the options file missing.toml cannot be read"),
         (["--seed", "-1"], "'--seed'"),
@@ -217,6 +218,21 @@ def test_inspect_speaks_json(images: Path) -> None:
     assert described["views"][0]["sources"]["pixel_size_um"] == "user"
 
 
+def test_inspect_names_files_that_may_be_images_without_a_suffix(images: Path) -> None:
+    for name in ("notes.txt", "a.hdr", "truth.bin", ".hidden", "series.toml"):
+        (images / name).touch()
+    (images / "folder").mkdir()
+    assert "ignored" not in run("inspect", images).stdout
+    (images / "a.tif.bak").touch()
+    described = json.loads(run("inspect", images, "--json").stdout)
+    assert "ignored: a.tif.bak (no image suffix)" in described["warnings"]
+    assert not [text for view in described["views"] for text in view["warnings"] if "ignored" in text]
+    for index in range(1, 7):
+        (images / f"scan{index}").touch()
+    shown = run("inspect", images).stdout
+    assert "ignored: a.tif.bak, scan1, scan2, scan3, scan4 and 2 more (no image suffix)" in shown
+
+
 def test_inspect_names_what_is_wrong(tmp_path: Path) -> None:
     done = run("inspect", tmp_path)
     assert (done.exit_code, "no images in this folder" in done.stderr) == (2, True)
@@ -232,6 +248,8 @@ def test_inspect_names_what_is_wrong(tmp_path: Path) -> None:
         (["--size", "12px"], "is not a size in px"),
         (["--size", "4"], "at least 16 x 16 px"),
         (["--tilts", "80"], "within"),
+        (["--views", "1"], "'--views'"),
+        (["--tilts", "3"], "at least 2 views"),
     ],
 )
 def test_bad_simulations_end_with_2(tmp_path: Path, arguments: list[str], message: str) -> None:
@@ -249,6 +267,15 @@ def test_simulate_writes_a_series_that_inspect_understands(tmp_path: Path) -> No
     views = json.loads(run("inspect", folder, "--json").stdout)["views"]
     assert [view["tilt_deg"] for view in views] == [-4.0, 0.0, 4.0]
     assert (views[0]["width"], views[0]["height"]) == (64, 48)
+
+
+def test_simulate_fills_the_folder_one_stands_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for views in (3, 2):
+        done = run("simulate", "-o", ".", "--size", "32", "--views", views)
+        assert done.exit_code == 0, done.output
+        assert len(list(Path.cwd().glob("*.tif"))) == views
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_simulate_keeps_foreign_files(tmp_path: Path) -> None:

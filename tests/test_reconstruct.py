@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,14 @@ from typer.testing import CliRunner
 import semscape
 from semscape.cli import app
 from semscape.geometry.cameras import camera_matrices
-from semscape.io.run_folder import RUN_FILES
+from semscape.io.run_folder import RUN_FILES, reconstruction_to_dict
 from semscape.io.simulated import write_simulated_series
 from semscape.io.surfaces import read_height_map
+from semscape.report import render_html
 from semscape.report.run import write_run
 from semscape.simulate import SimulationOptions, simulate
 from semscape.types import Result, SimulationTruth
+from synthetic_result import make_result, with_reconstruction
 
 MICROSCOPE = SimulationOptions(tilts_deg=(-6.0, 0.0, 6.0), width_px=288, height_px=256)
 TRUE_STAGE = SimulationOptions(tilts_deg=(-6.0, 0.0, 6.0), width_px=320, height_px=320, stage_error_deg=0.0)
@@ -245,6 +248,16 @@ def test_a_run_may_be_repeated_into_its_own_folder(folder: Path, run_folder: Pat
     assert run("reconstruct", folder, "-o", output, "-q").exit_code == 0
     assert (output / "reconstruction.json").read_bytes() == before
     assert sorted(path.name for path in output.iterdir()) == sorted(RUN_FILES)
+
+
+def test_the_tilt_that_a_self_calibration_holds_has_no_sigma() -> None:
+    result = make_result()
+    motion = replace(result.reconstruction.motion, tilt_rad=np.deg2rad([-3.0, 1e-7, 3.0]))
+    free = with_reconstruction(result, motion=motion, tilt_source="self-calibrated")
+    told = reconstruction_to_dict(free.reconstruction, free.series.names)["views"]
+    assert [view["tilt_sigma_deg"] > 0 for view in told] == [True, False, True]
+    assert '<td class="num">0 (held)</td>' in render_html(free)
+    assert "(held)" not in render_html(result)
 
 
 # Units

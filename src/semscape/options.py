@@ -73,7 +73,7 @@ class _Stage:
         for key, value in vars(self).items():
             allowed = _RANGES.get(f"{stage}.{key}")
             if allowed is not None and value not in allowed:
-                raise BadInputError(f"option {stage}.{key} is {value}, must be {allowed}")
+                raise BadInputError(f"option {stage}.{key} is {value:.12g}, must be {allowed}")
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,8 @@ class DenseOptions(_Stage):
         super().__post_init__()
         if self.penalty_small > self.penalty_large:
             raise BadInputError(
-                f"option dense.penalty_small is {self.penalty_small}, must be <= dense.penalty_large, "
-                f"{self.penalty_large}"
+                f"option dense.penalty_small is {self.penalty_small:g}, must be <= dense.penalty_large, "
+                f"{self.penalty_large:g}"
             )
 
 

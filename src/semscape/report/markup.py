@@ -11,11 +11,14 @@ from semscape.report.wording import number
 
 
 def figure(png: bytes, title: str, caption: str) -> str:
-    """Return a picture with its caption, the PNG's bytes inside the page."""
+    """Return a picture with its caption, the PNG's bytes inside the page.
+
+    The caption stands above: so those of pictures side by side are level, whatever the pictures' heights.
+    """
     data = base64.b64encode(png).decode("ascii")
     return (
-        f'<figure><img src="data:image/png;base64,{data}" alt="{escape(title)}">'
-        f"<figcaption><b>{escape(title)}.</b> {escape(caption)}</figcaption></figure>"
+        f"<figure><figcaption><b>{escape(title)}.</b> {escape(caption)}</figcaption>"
+        f'<img src="data:image/png;base64,{data}" alt="{escape(title)}"></figure>'
     )
 
 

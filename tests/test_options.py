@@ -1,0 +1,82 @@
+"""Options out of range are refused where they are made, with the option, the value and the range."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from semscape import options
+from semscape.errors import BadInputError
+from semscape.options import DenseOptions, FeaturesOptions, Options, RobustOptions, RunOptions, SfmOptions, read_toml
+
+STAGES = {
+    "features": FeaturesOptions,
+    "robust": RobustOptions,
+    "sfm": SfmOptions,
+    "dense": DenseOptions,
+    "run": RunOptions,
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"),
+    [
+        ("features.contrast_threshold", 0.0, "> 0"),
+        ("features.normalization_sigma_px", -1.0, "> 0"),
+        ("features.max_keypoints", 99, ">= 100"),
+        ("features.ratio", 1.01, "> 0 and <= 1"),
+        ("robust.max_trials", 9, ">= 10"),
+        ("robust.min_inliers", 7, ">= 8"),
+        ("sfm.prior_tilt_deg", 0.0, "> 0"),
+        ("sfm.prior_roll_deg", math.nan, "> 0"),
+        ("sfm.prior_scale", math.inf, "> 0"),
+        ("sfm.max_tilt_deg", 81.0, "> 0 and <= 80"),
+        ("sfm.de_generations", 0, ">= 1"),
+        ("sfm.de_population_per_variable", 1, ">= 2"),
+        ("sfm.max_iterations", 0, ">= 1"),
+        ("dense.max_pairs", 0, ">= 1"),
+        ("dense.census_radius_px", 4, ">= 1 and <= 3"),
+        ("dense.penalty_small", 25.0, "<= dense.penalty_large"),
+        ("dense.left_right_limit_px", 0.0, "> 0"),
+        ("dense.refine_sigma_px", 0.4, ">= 0.5"),
+        ("dense.refine_iterations", 0, ">= 1"),
+        ("dense.mesh_max_vertices", 3, ">= 4"),
+        ("run.seed", -1, ">= 0"),
+    ],
+)
+def test_a_value_out_of_range_is_refused_however_it_is_given(name: str, value: Any, allowed: str) -> None:
+    stage, key = name.split(".")
+    message = f"^option {name} is {value:g}, must be {allowed}"
+    with pytest.raises(BadInputError, match=message):
+        STAGES[stage](**{key: value})
+    with pytest.raises(BadInputError, match=message):
+        Options().with_settings([f"{name}={value}"])
+    with pytest.raises(BadInputError, match=message):
+        read_toml(f"[{stage}]\n{key} = {value}\n")
+
+
+def test_every_number_has_its_range() -> None:
+    numbers = {
+        f"{stage}.{key}"
+        for stage, values in Options().to_dict().items()
+        for key, value in values.items()
+        if stage != "input" and isinstance(value, int | float) and not isinstance(value, bool)
+    }
+    assert numbers == set(options._RANGES)
+
+
+def test_the_ends_of_the_ranges_are_allowed() -> None:
+    text = "[features]\nratio = 1\nmax_keypoints = 100\n[dense]\npenalty_small = 24\ncensus_radius_px = 1\n"
+    assert read_toml(text).dense.penalty_small == 24
+
+
+def test_settings_are_checked_together() -> None:
+    found = Options().with_settings(["dense.penalty_small=30", "dense.penalty_large=40"])
+    assert (found.dense.penalty_small, found.dense.penalty_large) == (30, 40)
+
+
+def test_an_unknown_detector_names_the_nearest_one() -> None:
+    with pytest.raises(BadInputError, match=r"option features\.detector has no choice 'surf'.*'sift'"):
+        Options().with_settings(["features.detector=surf"])
