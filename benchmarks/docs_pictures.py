@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import sys
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,8 +18,12 @@ from semscape.report.hillshade import hillshade
 from semscape.simulate import PRESETS, simulate
 from semscape.types import Result
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
 PICTURES = REPOSITORY / "docs" / "pictures"
 _LARGEST_BYTES = 500_000
+_LARGE_BYTES = 400_000
 _COLOURS = 256
 _README_SPECIMEN = "pollen"
 
@@ -70,15 +75,20 @@ def _side_by_side(result: Result) -> bytes:
 
 
 def _on_white(picture: bytes) -> bytes:
-    """Return a PNG on white ground and with few colours, which makes it a third of its size."""
+    """Return a PNG on white ground, with few colours where it is a large file with all of them."""
     from PIL import Image
 
     with Image.open(io.BytesIO(picture)) as image:
         coloured = image.convert("RGBA")
     ground = Image.new("RGBA", coloured.size, "white")
-    reduced = Image.alpha_composite(ground, coloured).convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE)
+    opaque = Image.alpha_composite(ground, coloured).convert("RGB")
+    whole = _png(opaque)
+    return whole if len(whole) <= _LARGE_BYTES else _png(opaque.quantize(_COLOURS, dither=Image.Dither.NONE))
+
+
+def _png(image: Image) -> bytes:
     buffer = io.BytesIO()
-    reduced.save(buffer, format="png", optimize=True)
+    image.save(buffer, format="png", optimize=True)
     return buffer.getvalue()
 
 

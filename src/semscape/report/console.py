@@ -12,7 +12,7 @@ from rich.status import Status
 from rich.text import Text
 
 from semscape.report.json import report_to_dict
-from semscape.report.wording import inline_label, number, value_text
+from semscape.report.wording import held_text, inline_label, is_held, number, value_text
 from semscape.types import LengthUnit, Result, TiltSeries
 
 _SHOWN_FIGURES = 4
@@ -82,7 +82,12 @@ def print_summary(result: Result, console: Console) -> None:
     """Print what a run found, in three lines."""
     report = report_to_dict(result)
     views, unit = report["views"], result.reconstruction.length_unit
-    tilts = ", ".join(f"{view['tilt_deg']:.2f} ± {view['tilt_sigma_deg'] or 0:.2f}" for view in views)
+    tilts = ", ".join(
+        held_text(view["tilt_deg"])
+        if is_held(view, report)
+        else f"{view['tilt_deg']:.2f} ± {view['tilt_sigma_deg'] or 0:.2f}"
+        for view in views
+    )
     metrics = {key: value for key, value in report["metrics"].items() if _is_short(value)}
     known = [f"{inline_label(key)} {value_text(key, value, unit)}" for key, value in metrics.items() if key in _SUMMARY]
     lines = [
