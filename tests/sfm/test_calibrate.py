@@ -331,3 +331,13 @@ def test_a_wrong_axis_is_noticed() -> None:
 def test_told_tilts_without_parallax_are_doubted() -> None:
     found = solve(make_tracks((0.0, 0.0, 0.0), stage_deg=(-5.0, 0.0, 5.0), noise_px=0.1)).reconstruction
     assert any("no parallax" in text for text in found.contradictions)
+
+
+@pytest.mark.parametrize(("distance_um", "warned"), [(8000.0, False), (300.0, True), (np.nan, False)])
+def test_a_wide_field_is_warned_of(distance_um: float, warned: bool) -> None:
+    tracks = make_tracks((-6.0, 0.0, 6.0), stage_deg=(-6.0, 0.0, 6.0), n_points=200)
+    views = tuple(
+        replace(view, metadata=replace(view.metadata, working_distance_um=distance_um)) for view in tracks.series.views
+    )
+    found = solve(replace(tracks, series=replace(tracks.series, views=views))).reconstruction
+    assert any("perspective" in text for text in found.warnings) == warned

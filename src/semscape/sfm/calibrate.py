@@ -20,6 +20,7 @@ from semscape.sfm.eliminated import pattern_scatters
 from semscape.sfm.evolve import Evolution, evolve
 from semscape.sfm.plausibility import (
     height_scale_warnings,
+    perspective_warnings,
     prior_contradictions,
     require_parallax,
     require_tilts,
@@ -163,6 +164,7 @@ def _reconstruction(
     tilt_sigma = np.sqrt(np.diag(tilt_covariance))
     contradictions = [*doubts, *prior_contradictions(series.names, final.parameters, prior)]
     warnings += height_scale_warnings(height_scale_sigma, prior)
+    warnings += perspective_warnings(series, points[:, 2])
     source: TiltSource = "self-calibrated" if prior.self_calibrated else _told_by(series)
     return Reconstruction(
         motion=motion,

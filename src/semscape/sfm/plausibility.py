@@ -16,6 +16,8 @@ _LEAST_TILT_SPAN_DEG = 0.2
 _WIDE_HEIGHT_SCALE = 0.05
 _CONTRADICTION_IN_SIGMAS = 3.0
 _WORSE_THAN_FREE = 1.4
+_WIDEST_FIELD = 0.05
+_HIGHEST_RELIEF = 0.005
 
 
 def require_tilts(series: TiltSeries) -> None:
@@ -109,6 +111,31 @@ def height_scale_warnings(height_scale_sigma: float, prior: MotionPrior) -> list
         else "the tilt range is small against the stage's error; tilt farther"
     )
     return [f"height scale known to +-{196 * height_scale_sigma:.0f} % (95 %) only: {reason}"]
+
+
+def perspective_warnings(series: TiltSeries, height_um: FloatArray) -> list[str]:
+    """Warn where the projection is no longer parallel: a wide field or a high relief for its working distance.
+
+    Parameters
+    ----------
+    series : TiltSeries
+        With pixel sizes and working distances; without them nothing can be told.
+    height_um : (P,) float array
+        Heights of the points.
+    """
+    distances = np.array([view.metadata.working_distance_um for view in series.views])
+    if series.length_unit != "um" or not np.isfinite(distances).any():
+        return []
+    distance_um = float(np.nanmin(distances))
+    field = max(series.shape) * float(series.pixel_size_um.max()) / distance_um
+    relief = float(np.ptp(np.percentile(height_um, [0.5, 99.5]))) / distance_um
+    if field <= _WIDEST_FIELD and relief <= _HIGHEST_RELIEF:
+        return []
+    return [
+        f"perspective matters: field of view / working distance is {field:.3f} (limit {_WIDEST_FIELD}), relief "
+        f"/ working distance {relief:.4f} (limit {_HIGHEST_RELIEF}); the parallel projection bends the surface. "
+        "Take the series at a higher magnification or a longer working distance"
+    ]
 
 
 def prior_contradictions(names: tuple[str, ...], parameters: FloatArray, prior: MotionPrior) -> list[str]:
