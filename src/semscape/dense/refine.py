@@ -92,15 +92,17 @@ def refine_heights(
             _ViewSampler(view, view_from_grid[i], px_per_height[i], direction, height.shape, scale * _PRESMOOTH_PX)
             for i, view in enumerate(views)
         ]
-        at_start = np.maximum(at_start, _compare(start, known, samplers, parallax, sigma_px, normalizing_px).n_views)
+        state = _compare(start, known, samplers, parallax, sigma_px, normalizing_px)
+        at_start = np.maximum(at_start, state.n_views)
         for _ in range(options.refine_iterations):
-            state = _compare(current, known, samplers, parallax, sigma_px, normalizing_px)
+            if current is not start:
+                state = _compare(current, known, samplers, parallax, sigma_px, normalizing_px)
             current = np.where(known, np.clip(state.height, current - limit, current + limit), start)
         take = known & np.isnan(chosen) & (state.n_views >= 2) & (np.sqrt(state.variance) * baseline <= sharp_px)
         take &= np.abs(current - start) * baseline <= _MAX_TOTAL_PX
         if narrower is not None:
-            # What the next wider window smooths away tells how much this one does: shape finer than the window
-            # is an error that no scatter of the views shows.
+            # What each wider window smooths away tells how much the chosen one does: shape finer than the window is an
+            # error that no scatter of the views shows.
             detail = _window(((current - narrower) ** 2 * known).astype(np.float32), sigma_px).astype(np.float64)
             variance += _DETAIL_SHARE * detail
         narrower = current
@@ -144,9 +146,7 @@ class _ViewSampler:
         along += cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32) * np.float32(direction[1])
         self.image, self.along = smooth, along
         self.mask = view.mask.astype(np.float32)
-        rows, cols = np.indices(shape, dtype=np.float32)
-        self.x0 = (view_from_grid[0, 0] * cols + view_from_grid[0, 1] * rows + view_from_grid[0, 2]).astype(np.float32)
-        self.y0 = (view_from_grid[1, 0] * cols + view_from_grid[1, 1] * rows + view_from_grid[1, 2]).astype(np.float32)
+        self.x0, self.y0 = grid_in_view(view_from_grid, shape)
         self.px_per_height = px_per_height
 
     def sample(self, height: FloatArray) -> tuple[ImageArray, ImageArray, ImageArray]:
@@ -158,6 +158,13 @@ class _ViewSampler:
         slope = cv2.remap(self.along, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         inside = cv2.remap(self.mask, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
         return value, slope, (inside > 0.99).astype(np.float32)
+
+
+def grid_in_view(view_from_grid: FloatArray, shape: tuple[int, int]) -> tuple[ImageArray, ImageArray]:
+    """Return where the pixels of a grid of height zero lie in a view, x and y (H, W) px, by its (2, 3) map."""
+    rows, cols = np.indices(shape, dtype=np.float32)
+    x, y = ((row[0] * cols + row[1] * rows + row[2]).astype(np.float32) for row in view_from_grid)
+    return x, y
 
 
 def _parallax(px_per_height: FloatArray) -> tuple[FloatArray, FloatArray]:

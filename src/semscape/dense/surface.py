@@ -12,7 +12,7 @@ import numpy as np
 
 from semscape.dense.fuse import fuse, to_zero_tilt
 from semscape.dense.rectify import Frame, grid_pixel_size_um, rectified_frame, warp_to_frame
-from semscape.dense.refine import refine_heights
+from semscape.dense.refine import grid_in_view, refine_heights
 from semscape.dense.stereo import RectifiedView, pair_heights
 from semscape.errors import DegenerateGeometryError
 from semscape.geometry.cameras import camera_matrices
@@ -169,19 +169,12 @@ def _texture(
 ) -> ImageArray:
     """Return the reference micrograph as seen on the surface, NaN where the surface is unknown."""
     reference = reconstruction.reference
-    rows, cols = np.indices(height_px.shape, dtype=np.float64)
-    h = np.nan_to_num(height_px)
-    at = [
-        (view_from_grid[reference, axis] @ np.stack([cols.ravel(), rows.ravel(), np.ones(cols.size)])).reshape(
-            cols.shape
-        )
-        + h * px_per_height[reference, axis]
-        for axis in (0, 1)
-    ]
+    x, y = grid_in_view(view_from_grid[reference], height_px.shape)
+    h = np.nan_to_num(height_px).astype(np.float32)
     sampled = cv2.remap(
         series.views[reference].image,
-        at[0].astype(np.float32),
-        at[1].astype(np.float32),
+        x + h * np.float32(px_per_height[reference, 0]),
+        y + h * np.float32(px_per_height[reference, 1]),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )

@@ -128,6 +128,13 @@ def noise_sigma_px(residual_px: FloatArray, observations: Observations) -> float
     return max(math.sqrt(total / tracks), 1e-3)
 
 
+def free_share(observations: Observations) -> FloatArray:
+    """Return for each observation (K,) the share of its residual's variance that its point does not absorb."""
+    length = np.bincount(observations.point)[observations.point]
+    share: FloatArray = (2.0 * length - 3.0) / (2.0 * length)
+    return share
+
+
 def residual_overdispersion(
     residual_px: FloatArray, observations: Observations, weights: FloatArray, sigma_px: float, n_views: int
 ) -> float:
@@ -137,8 +144,7 @@ def residual_overdispersion(
     independent ones. Over a 4 x 4 grid of each view and coordinate, the mean squared cell sum per keypoint is
     compared with the variance of independent residuals; 1 means independent.
     """
-    length = np.bincount(observations.point)[observations.point]
-    standardized = residual_px / np.sqrt((2.0 * length - 3.0) / (2.0 * length))[:, None]
+    standardized = residual_px / np.sqrt(free_share(observations))[:, None]
     inlier = weights > _INLIER_WEIGHT
     low, high = observations.xy[inlier].min(axis=0), observations.xy[inlier].max(axis=0)
     cell_xy = np.minimum((observations.xy - low) / (high - low + 1e-9) * _CELLS, _CELLS - 1).astype(np.int64)

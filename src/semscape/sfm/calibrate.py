@@ -14,6 +14,7 @@ from semscape.sfm.adjust import (
     PARAMETERS_PER_VIEW,
     Adjustment,
     adjust,
+    free_share,
     residual_overdispersion,
 )
 from semscape.sfm.eliminated import pattern_scatters
@@ -126,10 +127,8 @@ def _start_parameters(searched: FloatArray, observations: Observations, n_views:
 
 def _without_outliers(observations: Observations, adjustment: Adjustment) -> tuple[Observations, BoolArray]:
     """Drop observations beyond 5 sigma, and tracks that are left with fewer than two."""
-    length = np.bincount(observations.point)[observations.point]
-    free_share = (2.0 * length - 3.0) / (2.0 * length)
     keep = np.linalg.norm(adjustment.residual_px, axis=1) < (
-        _REJECT_IN_SIGMAS * adjustment.sigma_px * np.sqrt(free_share)
+        _REJECT_IN_SIGMAS * adjustment.sigma_px * np.sqrt(free_share(observations))
     )
     left = np.bincount(observations.point, keep, minlength=observations.n_points)
     keep &= left[observations.point] >= 2
