@@ -87,13 +87,17 @@ class InputOptions:
 
 @dataclass(frozen=True)
 class FeaturesOptions(_Stage):
-    """Keypoints: detector, contrast threshold after local normalization, and the matching rules."""
+    """Keypoints: detector, contrast threshold after local normalization, and the matching rules.
+
+    `guided` adds a second pass along the epipolar lines.
+    """
 
     detector: str = "sift"
     contrast_threshold: float = 0.01
     normalization_sigma_px: float = 16.0
     max_keypoints: int = 40_000
     ratio: float = 0.8
+    guided: bool = True
 
 
 @dataclass(frozen=True)
