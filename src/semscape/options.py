@@ -97,7 +97,7 @@ class FeaturesOptions(_Stage):
     normalization_sigma_px: float = 16.0
     max_keypoints: int = 40_000
     ratio: float = 0.8
-    guided: bool = True
+    guided: bool = False
 
 
 @dataclass(frozen=True)
