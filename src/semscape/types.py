@@ -23,7 +23,7 @@ BoolArray = NDArray[np.bool_]
 LengthUnit = Literal["um", "px"]
 Ambiguity = Literal["none", "reflection", "bas_relief"]
 TiltSource = Literal["metadata", "user", "self-calibrated"]
-FieldSource = Literal["file", "sidecar", "user", "assumed"]
+FieldSource = Literal["file", "sidecar", "user", "assumed", "doubtful"]
 
 
 def _freeze_arrays(value: object) -> None:
@@ -46,8 +46,9 @@ class _Value:
 class SemMetadata(_Value):
     """What a file says about its acquisition; NaN where it says nothing.
 
-    `source` tells for each known field where its value came from; `raw` holds the vendor's own tags.
-    `data_bar_rows` is the height of the strip of text under the image, -1 where the file does not say.
+    `source` tells for each known field where its value came from, `origin` the very tag, like "tag 34118, AP_WD";
+    `raw` holds the vendor's own tags. `data_bar_rows` is the height of the strip of text under the image, -1 where
+    the file does not say. `tilt_correction_rad` is NaN where the correction was on by an angle that is not told.
     """
 
     pixel_size_um: float = np.nan
@@ -59,9 +60,12 @@ class SemMetadata(_Value):
     magnification: float = np.nan
     scan_rotation_rad: float = np.nan
     tilt_correction_rad: float | None = None
+    dynamic_focus: bool = False
     data_bar_rows: int = -1
     vendor: str = "unknown"
+    model: str = ""
     source: Mapping[str, FieldSource] = field(default_factory=dict)
+    origin: Mapping[str, str] = field(default_factory=dict)
     raw: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from semscape.io.acquisition import MAX_TILT_DEG, GivenAcquisition
-from semscape.io.micrograph import FILE_KEY_PREFIX
+from semscape.io.metadata_fields import FILE_KEY_PREFIX
 from semscape.types import FieldSource, SemMetadata
 
 _EQUAL_TILT_DEG = 0.05

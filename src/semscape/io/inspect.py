@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from semscape.io.data_bar import data_bar_rows
-from semscape.io.micrograph import FILE_KEY_PREFIX
+from semscape.io.metadata_fields import FILE_KEY_PREFIX
 from semscape.types import Micrograph, TiltSeries
 
 
