@@ -40,6 +40,9 @@ TiltsOption = Annotated[
     str | None, typer.Option(help="Stage tilts in deg, in the order of the file names, like -7,0,7.", metavar="LIST")
 ]
 PixelSizeOption = Annotated[float | None, typer.Option(help="Pixel size in um.", metavar="UM")]
+ScaleBarOption = Annotated[
+    float | None, typer.Option("--scale-bar-um", help="Length in um that the burnt-in scale bar says.", metavar="UM")
+]
 AxisOption = Annotated[
     float | None,
     typer.Option(metavar="DEG", help="Tilt axis in deg from +x, counter-clockwise: 0 horizontal, 90 vertical."),
@@ -85,6 +88,7 @@ def reconstruct(
     output: Annotated[Path, typer.Option("--output", "-o", help="Run folder to write.", metavar="RUN")],
     tilts: TiltsOption = None,
     pixel_size_um: PixelSizeOption = None,
+    scale_bar_um: ScaleBarOption = None,
     axis_deg: AxisOption = None,
     settings: SetOption = None,
     options_file: OptionsOption = None,
@@ -99,7 +103,9 @@ def reconstruct(
 ) -> None:
     """Reconstruct the surface from a folder of tilted images and write a run folder."""
     with _exit_codes(debug=debug, quiet=quiet):
-        options = effective_options(options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief)
+        options = effective_options(
+            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um
+        )
         _run(folder, output, options, workers=workers, quiet=quiet)
 
 
@@ -108,8 +114,10 @@ def inspect(
     folder: FolderArgument,
     tilts: TiltsOption = None,
     pixel_size_um: PixelSizeOption = None,
+    scale_bar_um: ScaleBarOption = None,
     axis_deg: AxisOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    write: Annotated[bool, typer.Option("--write", help="Write series.toml into FOLDER, for you to edit.")] = False,
     debug: DebugOption = False,
 ) -> None:
     """Show what is understood of a folder of images: vendor, pixel size, tilt, data bar, each with its source."""
@@ -117,15 +125,19 @@ def inspect(
         from semscape.io.inspect import describe_series
         from semscape.io.run_folder import json_text
         from semscape.io.series import load_series
+        from semscape.io.series_template import write_series_toml
         from semscape.report.console import print_inspection
 
-        options = effective_options(None, None, tilts, pixel_size_um, axis_deg, None, None)
+        options = effective_options(None, None, tilts, pixel_size_um, axis_deg, None, None, scale_bar_um)
         series = load_series(folder, options.input)
         views = describe_series(series)
         if as_json:
             typer.echo(json_text({"views": views, "warnings": series.warnings}), nl=False)
         else:
             print_inspection(str(folder), series, views, _console())
+        if write:
+            path = write_series_toml(folder, views, series.warnings)
+            typer.echo(f"{path} holds what was understood, as comments; edit it to override anything", err=True)
 
 
 @app.command(short_help="Simulate a tilt series with its exact truth.")

@@ -22,6 +22,7 @@ def effective_options(
     axis_deg: float | None,
     seed: int | None,
     invert_relief: bool | None,
+    scale_bar_um: float | None = None,
 ) -> Options:
     """Return the options: defaults, then the file's, then --set, then the explicit flags."""
     options = Options()
@@ -37,6 +38,8 @@ def effective_options(
         values["input"]["tilts_deg"] = _numbers("--tilts", tilts)
     if pixel_size_um is not None:
         values["input"]["pixel_size_um"] = _positive("--pixel-size-um", pixel_size_um)
+    if scale_bar_um is not None:
+        values["input"]["scale_bar_um"] = _positive("--scale-bar-um", scale_bar_um)
     if axis_deg is not None:
         if not math.isfinite(axis_deg):
             raise BadInputError(f"--axis-deg must be an angle in deg, got {axis_deg}")

@@ -83,6 +83,7 @@ class InputOptions:
     tilts_deg: tuple[float, ...] = ()
     pixel_size_um: float = math.nan
     axis_deg: float = math.nan
+    scale_bar_um: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from semscape.io.data_bar import find_data_bar
 from semscape.io.image_file import DecodedImage, decode_image
 from semscape.io.metadata_fields import FILE_KEY_PREFIX
 from semscape.io.vendors import read_vendor_metadata
-from semscape.types import Micrograph, SemMetadata
+from semscape.types import BoolArray, Micrograph, SemMetadata
 
 logger = logging.getLogger(__name__)
 
@@ -45,8 +45,13 @@ def read_micrograph(path: str | Path) -> Micrograph:
     return micrograph
 
 
-def read_micrograph_and_warnings(path: str | Path) -> tuple[Micrograph, tuple[str, ...]]:
-    """Read as `read_micrograph` does; return the warnings, which begin with the file's name, as well."""
+def read_micrograph_and_warnings(
+    path: str | Path, given_bar_rows: float | None = None
+) -> tuple[Micrograph, tuple[str, ...]]:
+    """Read as `read_micrograph` does; return the warnings, which begin with the file's name, as well.
+
+    A height of the data bar that is given goes before the header's and before what the pixels show; 0 is no bar.
+    """
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -57,11 +62,22 @@ def read_micrograph_and_warnings(path: str | Path) -> tuple[Micrograph, tuple[st
     micrograph = Micrograph(
         name=path.name,
         image=decoded.image,
-        mask=find_data_bar(decoded.image, metadata.data_bar_rows) & decoded.imaged,
+        mask=_mask(path, decoded, metadata, given_bar_rows),
         metadata=metadata,
         digest=hashlib.sha256(data).hexdigest(),
     )
     return micrograph, tuple(f"{path.name}: {text}" for text in (*decoded.warnings, *metadata_warnings))
+
+
+def _mask(path: Path, decoded: DecodedImage, metadata: SemMetadata, given_bar_rows: float | None) -> BoolArray:
+    if given_bar_rows is None:
+        return find_data_bar(decoded.image, metadata.data_bar_rows) & decoded.imaged
+    height = decoded.image.shape[0]
+    if given_bar_rows >= height:
+        raise BadInputError(f"{path}: a data bar of {given_bar_rows:g} rows is given, the image has {height}")
+    mask = decoded.imaged.copy()
+    mask[height - int(given_bar_rows) :] = False
+    return mask
 
 
 def _read_metadata(path: Path, decoded: DecodedImage) -> tuple[SemMetadata, tuple[str, ...]]:

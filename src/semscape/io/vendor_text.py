@@ -46,7 +46,7 @@ def ini_values(text: str) -> dict[str, str]:
 
     Examples
     --------
-    >>> ini_values("[Scan]\\r\\nPixelWidth=2.7e-007\r\n")
+    >>> ini_values("[Scan]\r\nPixelWidth=2.7e-007\r\n")
     {'Scan.PixelWidth': '2.7e-007'}
     """
     raw: dict[str, str] = {}
@@ -78,7 +78,7 @@ def xml_values(text: str) -> dict[str, str]:
     start = text.find("<")
     if start < 0 or "<!ENTITY" in text or "<!DOCTYPE" in text:
         return {}
-    parser = ElementTree.XMLPullParser(events=("start", "end"))
+    parser: ElementTree.XMLPullParser[Any] = ElementTree.XMLPullParser(events=("start", "end"))
     raw: dict[str, str] = {}
     counts: dict[str, int] = {}
     path: list[str] = []
