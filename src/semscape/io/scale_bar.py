@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from semscape.types import BoolArray, ImageArray
 
 _INK_CONTRASTS = (0.6, 0.3)  # of the strip's range of values; the separators of tables are fainter than the bar
+_LEAST_STRIP_ROWS = 8
 _LEAST_RUN_PX = 12
 _LEAST_HALF_SHARE = 0.025  # of the image's width: each half of a line with text in its middle
 _LEAST_SHARE = 0.04  # of the image's width: a scale bar is at least this long
@@ -77,24 +78,30 @@ def find_scale_bar(image: ImageArray, mask: BoolArray) -> ScaleBar | None:
     (100.0, 'ticked')
     """
     rows = np.flatnonzero(~mask.any(axis=1))
-    if len(rows) >= 8:
-        strip = image[rows[0] : rows[-1] + 1]
-        span = float(strip.max() - strip.min())
-        if span == 0:
-            return None
-        values, counts = np.unique(np.round(strip / (0.02 * span)), return_counts=True)
-        contrast = np.abs(strip - float(values[counts.argmax()]) * 0.02 * span) / span
-        inks = [contrast > least for least in _INK_CONTRASTS]
-        for find in (_ticked, _ruler, _plain):
-            for ink in inks:
-                found = find(ink)
-                if found is not None:
-                    return replace(found, row=found.row + int(rows[0]))
-        return None
-    for level in (float(image.max()), float(image.min())):
-        found = _plain(image == level)
+    if len(rows) >= _LEAST_STRIP_ROWS:
+        found = _in_strip(image[rows[0] : rows[-1] + 1])
+        if found is not None:
+            return replace(found, row=found.row + int(rows[0]))
+    imaged = image[mask]
+    for level in (imaged.max(), imaged.min()) if imaged.size else ():
+        found = _plain((image == level) & mask)
         if found is not None:
             return found
+    return None
+
+
+def _in_strip(strip: ImageArray) -> ScaleBar | None:
+    span = float(strip.max() - strip.min())
+    if span == 0:
+        return None
+    values, counts = np.unique(np.round(strip / (0.02 * span)), return_counts=True)
+    contrast = np.abs(strip - float(values[counts.argmax()]) * 0.02 * span) / span
+    inks = [contrast > least for least in _INK_CONTRASTS]
+    for find in (_ticked, _ruler, _plain):
+        for ink in inks:
+            found = find(ink)
+            if found is not None:
+                return found
     return None
 
 
@@ -220,7 +227,7 @@ def _ruler(ink: BoolArray) -> ScaleBar | None:
         gaps = np.diff(centres)
         like_next = np.abs(np.diff(gaps)) <= np.maximum(1.0, _TICK_SPACING * gaps[1:])
         like_next &= (np.abs(np.diff(widths)) <= 1)[1:] & (np.abs(np.diff(widths)) <= 1)[:-1]
-        like_next &= gaps[1:] > 3 * widths.max()
+        like_next &= gaps[1:] > 3 * np.maximum(widths[1:-1], widths[2:])
         for start, stop in _runs(like_next):
             n_ticks = stop - start + 3
             length = float(centres[stop + 2] - centres[start])
