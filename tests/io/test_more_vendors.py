@@ -16,6 +16,7 @@ from semscape.io.hitachi import parse_hitachi
 from semscape.io.jeol import parse_jeol
 from semscape.io.micrograph import read_micrograph, read_micrograph_and_warnings
 from semscape.io.phenom import parse_phenom
+from semscape.io.series import load_series
 from semscape.io.tescan import parse_tescan, tescan_tag_text
 from semscape.io.thermo_fisher_xml import parse_thermo_fisher_xml
 from semscape.io.vendor_text import decode_text
@@ -101,7 +102,20 @@ def test_jeol_stage_is_read_only_where_its_order_does_not_matter() -> None:
     assert (level.working_distance_um, level.accelerating_voltage_kv) == (pytest.approx(9070), 5.0)
     tilted, warnings = parse_jeol("$CM_STAGE_POS 5.483 0.831 8.5 0.0 5.0 0.000\n", SHAPE)
     assert math.isnan(tilted.tilt_rad)
-    assert "0.0 and 5.0" in warnings[0]
+    assert "0 and 5 deg" in warnings[0]
+
+
+@pytest.mark.parametrize("position", ["0.0 {}", "{} 30.0"])
+def test_a_jeol_series_shows_which_angle_is_the_tilt(tmp_path: Path, position: str) -> None:
+    for i in range(3):
+        write_tiff(tmp_path / f"a{i}.tif", noise(i))
+        (tmp_path / f"a{i}.txt").write_text(f"$CM_STAGE_POS 1 2 3 {position.format(5 * i)} 0.000\n")
+    series = load_series(tmp_path)
+    np.testing.assert_allclose(np.rad2deg(series.tilt_rad), [-10, -5, 0])
+    assert any("only one changes, from 0 to 10 deg" in text for text in series.warnings)
+    for i in range(3):
+        (tmp_path / f"a{i}.txt").write_text(f"$CM_STAGE_POS 1 2 3 {5 * i} {i} 0.000\n")
+    assert np.isnan(load_series(tmp_path).tilt_rad).all()
 
 
 def test_jeol_bar_of_newer_microscopes() -> None:

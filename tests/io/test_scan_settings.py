@@ -143,4 +143,9 @@ def test_what_only_looks_like_text_stays() -> None:
     for image in one_spot:
         image[50:60, 50:60] = 255  # a single patch is no text
     assert not find_burnt_in_text(one_spot, everywhere).any()
+    holes = [np.clip(noise(i, (200, 240)), 1, 250).astype(np.float32) for i in range(3)]
+    for i, image in enumerate(holes):  # black holes that hardly move
+        for left in (10, 90, 170):
+            image[100:160, left + i : left + 60 + i] = 0
+    assert not find_burnt_in_text(holes, everywhere).any()
     assert not find_burnt_in_text([np.zeros((9, 9), np.float32)] * 2, [np.ones((9, 9), dtype=bool)] * 2).any()

@@ -17,7 +17,7 @@ from semscape.types import BoolArray, ImageArray
 
 _LEAST_PATCH_PX = 12
 _LARGEST_PATCH_SHARE = 0.02  # of the image
-_SAME_OUTLINE = 0.95  # intersection over union
+_OTHER_OUTLINE = 0.05  # of the pixels along the outline may differ
 _LEAST_PATCHES = 3  # text has many
 _MARGIN_PX = 3  # shadows, outlines and what smoothing and compression smear
 
@@ -60,7 +60,7 @@ def _same_patches(saturated: list[BoolArray]) -> BoolArray:
     sizes = [np.bincount(view.ravel()) for view in labels]
     first, first_sizes = labels[0], sizes[0]
     kept = np.bincount(first.ravel(), weights=always.ravel())
-    candidates = (kept >= _SAME_OUTLINE * first_sizes) & (first_sizes >= _LEAST_PATCH_PX)
+    candidates = (kept >= (1 - _OTHER_OUTLINE) * first_sizes) & (first_sizes >= _LEAST_PATCH_PX)
     candidates &= first_sizes <= _LARGEST_PATCH_SHARE * first.size
     candidates[0] = False
     boxes = find_objects(first)
@@ -75,10 +75,17 @@ def _same_patches(saturated: list[BoolArray]) -> BoolArray:
 
 
 def _like(patch: BoolArray, labels: NDArray[np.int32], sizes: NDArray[np.int64]) -> bool:
-    """Tell whether another view has a patch of the same outline at this place."""
+    """Tell whether another view has a patch of the same outline at this place.
+
+    What differs is counted against the outline, not the area: a large patch that has moved by a pixel is no glyph.
+    """
+    from scipy.ndimage import binary_erosion
+
     counts = np.bincount(labels[patch])
     if len(counts) < 2:
         return False
     number = int(counts[1:].argmax()) + 1
-    common = int(counts[number])
-    return common >= _SAME_OUTLINE * (int(np.count_nonzero(patch)) + int(sizes[number]) - common)
+    size = int(np.count_nonzero(patch))
+    differing = size + int(sizes[number]) - 2 * int(counts[number])
+    outline = size - int(np.count_nonzero(binary_erosion(patch)))
+    return differing <= _OTHER_OUTLINE * outline

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from semscape.io.acquisition import MAX_TILT_DEG, GivenAcquisition
-from semscape.io.metadata_fields import FILE_KEY_PREFIX
+from semscape.io.jeol import stage_angles
+from semscape.io.metadata_fields import FILE_KEY_PREFIX, TILT_SIGN
 from semscape.types import FieldSource, SemMetadata
 
 _EQUAL_TILT_DEG = 0.05
@@ -33,6 +34,7 @@ def settle_metadata(
     """
     settled = [_overridden(view, given.fields.get(name, {})) for name, view in zip(names, metadata, strict=True)]
     warnings: list[str] = []
+    settled = _jeol_tilts(settled, warnings)
     if not given.tilts_deg or not np.isfinite(given.tilts_deg).all():
         settled = _credible_tilts(names, settled, given.tilts_deg, warnings)
     if given.tilts_deg:
@@ -96,6 +98,27 @@ def _credible_tilts(
         missing = [name for name, is_known in zip(names, known, strict=True) if not is_known]
         warnings.append(f"no tilt is known for {', '.join(missing)}; it is estimated from the images")
     return settled
+
+
+def _jeol_tilts(metadata: list[SemMetadata], warnings: list[str]) -> list[SemMetadata]:
+    """Tell tilt from rotation where every view has both: in a tilt series only the tilt changes."""
+    angles = [stage_angles(view.raw) if view.vendor == "JEOL" else None for view in metadata]
+    if None in angles or all("tilt_rad" in view.source for view in metadata):
+        return metadata
+    readings = np.array(angles)
+    changing = np.flatnonzero(np.ptp(readings, axis=0) > _EQUAL_TILT_DEG)
+    if len(changing) != 1:
+        return metadata
+    tilts_deg = readings[:, changing[0]]
+    warnings.append(
+        f"of the two angles of the JEOL stage only one changes, from {tilts_deg.min():g} to {tilts_deg.max():g} deg: it "
+        "is taken as the tilt, with the sign of Zeiss and Thermo Fisher; if hills come out as pits, give the tilts "
+        "with the other sign"
+    )
+    return [
+        _with(view, "tilt_rad", TILT_SIGN * np.deg2rad(tilt) + 0.0, "file")
+        for view, tilt in zip(metadata, tilts_deg, strict=True)
+    ]
 
 
 def _vendor_raw(metadata: SemMetadata) -> dict[str, str]:

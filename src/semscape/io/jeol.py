@@ -3,12 +3,13 @@
 Values are in kV, mm and deg. JEOL states no pixel size: `$$SM_MICRON_BAR` (px) and `$$SM_MICRON_MARKER` (its
 length) give it where both are there, else `$CM_FIELD_OF_VIEW` (um), else the magnification, which counts on a
 photograph 128 mm wide. `$CM_STAGE_POS` ends in rotation and tilt, in an order that differs between sources, so
-they are read only where both are 0. `$$SM_PNU_HEIGHT` is the height of a data bar that newer microscopes add.
+they are read only where both are 0, or where a series shows which of the two changes. `$$SM_PNU_HEIGHT` is the height of a data bar that newer microscopes add.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from semscape.io.metadata_fields import MetadataFields
 from semscape.io.quantities import KV_PER_VOLTAGE, PLAIN, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH, repair_units
@@ -105,22 +106,31 @@ def _size(fields: MetadataFields) -> tuple[int, int]:
     return 0, 0
 
 
-def _take_stage(fields: MetadataFields) -> None:
+def stage_angles(raw: Mapping[str, str]) -> tuple[float, float] | None:
+    """Return the two angles in deg that end a JEOL stage position, tilt and rotation in either order."""
     for key in _STAGE_KEYS:
-        words = fields.text(key).split()
-        if len(words) < 5:
-            continue
-        try:
-            angles = [float(word) for word in words[3:5]]
-        except ValueError:
-            fields.warn(f"{key} holds {fields.text(key)!r}, which are no numbers; tilt and rotation are unknown")
-            return
-        if angles == [0.0, 0.0]:
-            fields.set_stage_tilt(0.0, key, sign_is_known=False)
-            fields.set("stage_rotation_rad", 0.0, key)
-        else:
-            fields.warn(
-                f"{key} ends in {words[3]} and {words[4]}: one is the stage tilt, one its rotation, in an order that "
-                "differs between microscopes; the tilt is taken as unknown: give the tilts"
-            )
+        words = raw.get(key, "").split()
+        if len(words) >= 5:
+            try:
+                first, second = float(words[3]), float(words[4])
+            except ValueError:
+                return None
+            return (first, second) if math.isfinite(first) and math.isfinite(second) else None
+    return None
+
+
+def _take_stage(fields: MetadataFields) -> None:
+    key = next((key for key in _STAGE_KEYS if len(fields.text(key).split()) >= 5), None)
+    if key is None:
         return
+    angles = stage_angles(fields.raw)
+    if angles is None:
+        fields.warn(f"{key} holds {fields.text(key)[:100]!r}, which are no numbers; tilt and rotation are unknown")
+    elif angles == (0.0, 0.0):
+        fields.set_stage_tilt(0.0, key, sign_is_known=False)
+        fields.set("stage_rotation_rad", 0.0, key)
+    else:
+        fields.warn(
+            f"{key} ends in {angles[0]:g} and {angles[1]:g} deg: one is the stage tilt, one its rotation, in an order "
+            "that differs between microscopes; this file alone does not tell the tilt"
+        )
