@@ -111,8 +111,8 @@ def _jeol_tilts(metadata: list[SemMetadata], warnings: list[str]) -> list[SemMet
         return metadata
     tilts_deg = readings[:, changing[0]]
     warnings.append(
-        f"of the two angles of the JEOL stage only one changes, from {tilts_deg.min():g} to {tilts_deg.max():g} deg: it "
-        "is taken as the tilt, with the sign of Zeiss and Thermo Fisher; if hills come out as pits, give the tilts "
+        f"of the two angles of the JEOL stage only one changes, from {tilts_deg.min():g} to {tilts_deg.max():g} deg: "
+        "it is taken as the tilt, with the sign of Zeiss and Thermo Fisher; if hills come out as pits, give the tilts "
         "with the other sign"
     )
     return [

@@ -3,7 +3,8 @@
 Values are in kV, mm and deg. JEOL states no pixel size: `$$SM_MICRON_BAR` (px) and `$$SM_MICRON_MARKER` (its
 length) give it where both are there, else `$CM_FIELD_OF_VIEW` (um), else the magnification, which counts on a
 photograph 128 mm wide. `$CM_STAGE_POS` ends in rotation and tilt, in an order that differs between sources, so
-they are read only where both are 0, or where a series shows which of the two changes. `$$SM_PNU_HEIGHT` is the height of a data bar that newer microscopes add.
+they are read only where both are 0, or where a series shows which of the two changes. `$$SM_PNU_HEIGHT` is the
+height of a data bar that newer microscopes add.
 """
 
 from __future__ import annotations
