@@ -48,7 +48,8 @@ class SemMetadata(_Value):
 
     `source` tells for each known field where its value came from, `origin` the very tag, like "tag 34118, AP_WD";
     `raw` holds the vendor's own tags. `data_bar_rows` is the height of the strip of text under the image, -1 where
-    the file does not say. `tilt_correction_rad` is NaN where the correction was on by an angle that is not told.
+    the file does not say. `tilt_correction_rad` is NaN where the correction was on by an angle that is not told;
+    `tilt_correction_axis_rad` is the direction, like the tilt axis', across which it stretches.
     """
 
     pixel_size_um: float = np.nan
@@ -60,6 +61,7 @@ class SemMetadata(_Value):
     magnification: float = np.nan
     scan_rotation_rad: float = np.nan
     tilt_correction_rad: float | None = None
+    tilt_correction_axis_rad: float = np.nan
     dynamic_focus: bool = False
     data_bar_rows: int = -1
     vendor: str = "unknown"

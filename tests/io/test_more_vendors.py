@@ -60,7 +60,7 @@ def test_tescan_tag_after_its_thumbnail(tmp_path: Path) -> None:
     assert not micrograph.mask[100:].any()
     assert micrograph.mask[:100].all()
     assert len(warnings) == 1
-    assert "sign of a TESCAN stage tilt is assumed" in warnings[0]
+    assert "sign of this TESCAN stage's tilt is assumed" in warnings[0]
 
 
 def test_tescan_tag_in_unknown_blocks_and_correction() -> None:

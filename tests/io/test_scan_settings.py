@@ -46,7 +46,7 @@ def zeiss_series(folder: Path, **lines: str) -> None:
 
 def test_tilt_correction_is_undone_with_its_evidence(tmp_path: Path) -> None:
     lines = {"DP_TILT_CORRECTION": "T = On", "AP_TILT_ANGLE": "T = 30 °", "DP_SCAN_ROT": "S = Off"}
-    zeiss_series(tmp_path, **lines)
+    zeiss_series(tmp_path, AP_TILT_AXIS="Tilt Axis = 0 °", **lines)
     series = load_series(tmp_path)
     assert all(view.mask.any(axis=1).sum() == pytest.approx(96 * math.cos(math.pi / 6), abs=2) for view in series.views)
     assert sum("30 deg (tag 34118, AP_TILT_ANGLE): undone" in text for text in series.warnings) == 3
@@ -54,10 +54,35 @@ def test_tilt_correction_is_undone_with_its_evidence(tmp_path: Path) -> None:
     assert all(view.mask.all() for view in load_series(tmp_path).views)
 
 
+def test_tilt_correction_of_thermo_fisher_is_undone(tmp_path: Path) -> None:
+    for i in range(2):
+        beam = {"TiltCorrectionIsOn": "yes", "TiltCorrectionAngle": 0.5, "ScanRotation": math.pi * i}
+        write_tiff(tmp_path / f"f{i}.tif", noise(i), fei=fei_text(EBeam=beam, Stage={"StageT": 0.1 * i}))
+    series = load_series(tmp_path)
+    assert all(view.mask.any(axis=1).sum() == pytest.approx(96 * math.cos(0.5), abs=2) for view in series.views)
+    assert sum("EBeam.TiltCorrectionAngle): undone" in text for text in series.warnings) == 2
+
+
+def test_the_user_tells_across_which_axis_an_image_is_stretched(tmp_path: Path) -> None:
+    zeiss_series(tmp_path, DP_TILT_CORRECTION="T = On", AP_TILT_ANGLE="T = 30 °", AP_TILT_AXIS="T = 90 °")
+    assert any("tilt_correction_axis_deg = 0" in text for text in load_series(tmp_path).warnings)
+    (tmp_path / "series.toml").write_text("tilt_correction_axis_deg = 90\n")
+    for view in load_series(tmp_path).views:
+        assert view.mask.any(axis=0).sum() == pytest.approx(128 * math.cos(math.pi / 6), abs=2)
+        assert view.mask.any(axis=1).all()
+        assert view.image.shape == (96, 128)
+
+
+def test_the_sign_of_a_stage_that_tilts_in_x_is_not_sure(tmp_path: Path) -> None:
+    zeiss_series(tmp_path, AP_TILT_AXIS="Tilt Axis = 90.0 °")
+    assert any("sign of this Zeiss stage's tilt is assumed" in text for text in load_series(tmp_path).warnings)
+
+
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
         ({"AP_TILT_ANGLE": "T = 30 °"}, "with an unknown scan rotation"),
+        ({"AP_TILT_ANGLE": "T = 30 °", "DP_SCAN_ROT": "S = Off", "AP_TILT_AXIS": "T = 90 °"}, "is not sure"),
         ({"AP_TILT_ANGLE": "T = ### °", "DP_SCAN_ROT": "S = Off"}, "of an angle that is not told"),
         ({"AP_TILT_ANGLE": "T = 80 °", "DP_SCAN_ROT": "S = Off"}, "by 80 deg"),
         (

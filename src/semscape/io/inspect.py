@@ -20,10 +20,10 @@ def describe_series(series: TiltSeries) -> list[dict[str, Any]]:
     Keys: name, width, height, bits_per_sample, format, vendor, model, pixel_size_um, tilt_deg (in semscape's sign: a
     positive tilt about +x moves a peak to larger image y), stage_tilt_deg (what the header says, in the
     microscope's own sign, whether it was used or not), axis_deg, stage_rotation_deg, scan_rotation_deg,
-    tilt_correction_deg, dynamic_focus, working_distance_mm, accelerating_voltage_kv, magnification, data_bar_rows,
-    scale_bar_px (length of the bar that is burnt in); `sources` maps the keys that are known to "file", "sidecar",
-    "user", "assumed", "doubtful" or "image" (seen in the pixels), `origins` to the very tag; `warnings` are those of
-    the series that name the image.
+    tilt_correction_deg, tilt_correction_axis_deg, dynamic_focus, working_distance_mm, accelerating_voltage_kv,
+    magnification, data_bar_rows, scale_bar_px (length of the bar that is burnt in); `sources` maps the keys that are
+    known to "file", "sidecar", "user", "assumed", "doubtful" or "image" (seen in the pixels), `origins` to the very
+    tag; `warnings` are those of the series that name the image.
     """
     return [_describe(view, series.warnings) for view in series.views]
 
@@ -38,6 +38,7 @@ def _describe(view: Micrograph, warnings: tuple[str, ...]) -> dict[str, Any]:
         "stage_rotation_deg": ("stage_rotation_rad", _deg(metadata.stage_rotation_rad)),
         "scan_rotation_deg": ("scan_rotation_rad", _deg(metadata.scan_rotation_rad)),
         "tilt_correction_deg": ("tilt_correction_rad", _deg(metadata.tilt_correction_rad)),
+        "tilt_correction_axis_deg": ("tilt_correction_axis_rad", _deg(metadata.tilt_correction_axis_rad)),
         "working_distance_mm": ("working_distance_um", metadata.working_distance_um / 1000),
         "accelerating_voltage_kv": ("accelerating_voltage_kv", metadata.accelerating_voltage_kv),
         "magnification": ("magnification", metadata.magnification),

@@ -93,8 +93,8 @@ class MetadataFields:
         self.raw[STAGE_TILT_KEY] = f"{math.degrees(value) + 0.0:.9g}"
         if not sign_is_known and value != 0:
             self.warn(
-                f"the sign of a {self.vendor} stage tilt is assumed to be that of Zeiss and Thermo Fisher (positive "
-                "leans structures up in the image); if hills come out as pits, give the tilts with the other sign"
+                f"the sign of this {self.vendor} stage's tilt is assumed (positive leans structures up in the image); "
+                "if hills come out as pits, give the tilts with the other sign"
             )
 
     def take_square_pixel(self, width_um: float, height_um: float, key: str) -> None:

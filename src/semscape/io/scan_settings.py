@@ -1,7 +1,8 @@
 """Undo what the scan did to the image, or warn: tilt correction, dynamic focus, scan rotation.
 
-Tilt correction stretches the rows' spacing by 1 / cos of its angle, so that a flat specimen at that tilt looks as
-if seen from above. semscape wants the projection as it is; the image is squeezed back by the cosine.
+Tilt correction stretches the image across its axis by 1 / cos of its angle, so that a flat specimen at that tilt
+looks as if seen from above. semscape wants the projection as it is; the image is squeezed back by the cosine, where
+angle and axis are told.
 
 Scan rotation turns the image, and the stage's tilt axis with it. Header tilts are converted for an axis along +x,
 as at scan rotation 0. Turned by 180 deg the same axis points along -x, so every tilt changes its sign: that is sure,
@@ -74,25 +75,33 @@ def _undo_tilt_correction(view: Micrograph, warnings: list[str]) -> Micrograph:
     angle = view.metadata.tilt_correction_rad
     if angle is None or angle == 0:
         return view
-    evidence = view.metadata.origin.get("tilt_correction_rad", "series.toml")
-    rotation_deg = math.degrees(view.metadata.scan_rotation_rad)
+    metadata = view.metadata
+    evidence = metadata.origin.get("tilt_correction_rad", "series.toml")
+    axis_deg, rotation_deg = math.degrees(metadata.tilt_correction_axis_rad), math.degrees(metadata.scan_rotation_rad)
     what = f"{view.name}: tilt correction was on"
     out = "switch it off for tilt series; tilt_correction_deg = 0 in series.toml says that it was off"
     if not abs(math.degrees(angle)) <= _LARGEST_CORRECTION_DEG:
         told = "of an angle that is not told" if math.isnan(angle) else f"by {math.degrees(angle):g} deg"
         warnings.append(f"{what} {told} ({evidence}): the image is stretched across the tilt axis; {out}")
         return view
-    if not abs(math.remainder(rotation_deg, 180.0)) <= _STRAIGHT_DEG:
+    by_user = metadata.source.get("tilt_correction_axis_rad") == "sidecar"
+    if math.isnan(axis_deg) or not (by_user or abs(math.remainder(rotation_deg, 180.0)) <= _STRAIGHT_DEG):
         scan = "an unknown scan rotation" if math.isnan(rotation_deg) else f"a scan rotation of {rotation_deg:g} deg"
         warnings.append(
             f"{what} by {math.degrees(angle):g} deg ({evidence}) with {scan}: in which direction the image is "
-            f"stretched is not sure, so it stays; {out}"
+            "stretched is not sure, so it stays; in series.toml, tilt_correction_axis_deg = 0 (stretched from top to "
+            f"bottom) or 90 (from left to right) has it undone; {out}"
         )
         return view
     factor = math.cos(angle)
-    image, mask = squeeze_rows(view.image, view.mask, factor)
+    if axis_deg == 0:
+        image, mask = squeeze_rows(view.image, view.mask, factor)
+    else:
+        turned, turned_mask = squeeze_rows(view.image.T, view.mask.T, factor)
+        image, mask = np.ascontiguousarray(turned.T), np.ascontiguousarray(turned_mask.T)
     warnings.append(
-        f"{what} by {math.degrees(angle):g} deg ({evidence}): undone, the rows are squeezed to {factor:.4f}; {out}"
+        f"{what} by {math.degrees(angle):g} deg ({evidence}): undone, the {'rows' if axis_deg == 0 else 'columns'} are "
+        f"squeezed to {factor:.4f}; {out}"
     )
     return replace(view, image=image, mask=mask)
 

@@ -50,6 +50,9 @@ OVERRIDES = {
     "tilt_correction_deg": _Key(
         "tilt_correction_rad", _RAD_PER_DEG, lambda value: abs(value) < 90.0, "lie within +-90 deg, 0 for off"
     ),
+    "tilt_correction_axis_deg": _Key(
+        "tilt_correction_axis_rad", _RAD_PER_DEG, lambda value: value in (0.0, 90.0), "be 0 or 90"
+    ),
     "dynamic_focus": _Key("dynamic_focus", 1.0, lambda value: value in (0.0, 1.0), "be true or false"),
     "data_bar_rows": _Key(
         "data_bar_rows", 1.0, lambda value: value >= 0 and value == int(value), "be a whole number, 0 for none"

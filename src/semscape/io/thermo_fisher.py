@@ -56,6 +56,7 @@ def parse_thermo_fisher(
     fields.take("scan_rotation_rad", ("Beam.ScanRotation", f"{beam}.ScanRotation"), RAD_PER_ANGLE, "rad")
     if fields.is_on(f"{beam}.TiltCorrectionIsOn"):
         fields.set_tilt_correction(*fields.read(f"{beam}.TiltCorrectionAngle", RAD_PER_ANGLE, "rad"))
+        fields.set("tilt_correction_axis_rad", 0.0, f"{beam}.TiltCorrectionIsOn")
     for switch in (f"{beam}.DynamicFocusIsOn", f"{beam}.DynamicWDIsOn"):
         if fields.is_on(switch):
             fields.set_dynamic_focus(switch)

@@ -68,3 +68,4 @@ def _take_tilt_correction(fields: MetadataFields) -> None:
     pre_tilt, _ = fields.read("Metadata.Optics.SamplePreTiltAngle", RAD_PER_ANGLE, "rad")
     angle = tilt if math.isnan(pre_tilt) or pre_tilt == 0 else math.nan
     fields.set_tilt_correction(angle, "Metadata.Optics.SampleTiltCorrectionOn")
+    fields.set("tilt_correction_axis_rad", 0.0, "Metadata.Optics.SampleTiltCorrectionOn")

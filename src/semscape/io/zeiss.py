@@ -8,8 +8,9 @@ After a head of bare numbers the text holds pairs of lines: a key (`AP_WD`) and 
 - `AP_TILT_ANGLE` is the angle of the tilt *correction*, `AP_STAGE_AT_T` the tilt of the stage;
 - `AP_SCANROTATION` and `AP_TILT_ANGLE` keep their last value while `DP_SCAN_ROT`, `DP_TILT_CORRECTION` are off.
 
-At scan rotation 0 a SmartSEM stage tilts about the image's horizontal axis, and a positive reading turns the
-surface's normal towards the top of the image (pillars lean upwards). That is assumed here.
+At scan rotation 0 a SmartSEM stage is assumed to tilt about the image's horizontal axis, and a positive reading to
+turn the surface's normal towards the top of the image (pillars lean upwards). Newer files hold `AP_TILT_AXIS`, which
+is 0 deg beside `Stage Tilt = In Y`, and 90 deg beside `Stage Tilt = in X`: with the latter the sign is not sure.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ def parse_zeiss(text: str, image_width: int) -> tuple[SemMetadata, tuple[str, ..
         pixel_size *= _DISPLAY_WIDTH_PX / (store_width or image_width)
     fields.set("pixel_size_um", pixel_size, key)
     fields.warn_if_resized(store_width, image_width)
-    fields.take_stage_tilt("AP_STAGE_AT_T", "deg", sign_is_known=True)
+    tilt_axis, axis_key = fields.read("AP_TILT_AXIS", _DEG_OR_BARE)
+    fields.take_stage_tilt("AP_STAGE_AT_T", "deg", sign_is_known=math.isnan(tilt_axis) or tilt_axis == 0)
     fields.take("stage_rotation_rad", "AP_STAGE_AT_R", _DEG_OR_BARE)
     fields.take("working_distance_um", "AP_WD", UM_PER_LENGTH)
     fields.take("accelerating_voltage_kv", ("AP_ACTUALKV", "AP_MANUALKV"), KV_PER_VOLTAGE)
@@ -68,6 +70,8 @@ def parse_zeiss(text: str, image_width: int) -> tuple[SemMetadata, tuple[str, ..
         fields.set("scan_rotation_rad", 0.0, "DP_SCAN_ROT")
     if fields.is_on("DP_TILT_CORRECTION"):
         fields.set_tilt_correction(*fields.read("AP_TILT_ANGLE", _DEG_OR_BARE))
+        if tilt_axis == 0:
+            fields.set("tilt_correction_axis_rad", 0.0, axis_key)
     if fields.is_on("DP_DYNFOCUS"):
         fields.set_dynamic_focus("DP_DYNFOCUS")
     return fields.metadata(model=fields.text("DP_SEM")), tuple(fields.warnings)
