@@ -115,10 +115,12 @@ def _jeol_tilts(metadata: list[SemMetadata], warnings: list[str]) -> list[SemMet
         "it is taken as the tilt, with the sign of Zeiss and Thermo Fisher; if hills come out as pits, give the tilts "
         "with the other sign"
     )
-    return [
+    told = [
         _with(view, "tilt_rad", TILT_SIGN * np.deg2rad(tilt) + 0.0, "file")
         for view, tilt in zip(metadata, tilts_deg, strict=True)
     ]
+    origin = f"angle {changing[0] + 1} of $CM_STAGE_POS, which alone changes"
+    return [replace(view, origin={**view.origin, "tilt_rad": origin}) for view in told]
 
 
 def _vendor_raw(metadata: SemMetadata) -> dict[str, str]:

@@ -55,6 +55,8 @@ def squeeze_rows(image: ImageArray, mask: BoolArray, factor: float) -> tuple[Ima
     from scipy.ndimage import affine_transform
 
     imaged = np.flatnonzero(mask.any(axis=1))
+    if len(imaged) == 0:
+        return image, mask
     first, last = int(imaged[0]), int(imaged[-1])
     middle = (last - first) / 2
     offset = middle - middle / factor
