@@ -60,6 +60,8 @@ _RANGES = {
     "dense.refine_iterations": _Range(1),
     "dense.mesh_max_vertices": _Range(4),
     "run.seed": _Range(0),
+    "measure.draws": _Range(2),
+    "measure.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
 _CHOICES = {"features.detector": ["sift"]}
@@ -149,6 +151,23 @@ class DenseOptions(_Stage):
 class RunOptions(_Stage):
     """The seed from which every random stream of a run derives."""
 
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class MeasureOptions(_Stage):
+    """`semscape measure`, no stage of a run: form to take off, filters, outliers, draws of the Monte Carlo.
+
+    Nesting indices are in um (px for a run without a pixel size); NaN means no filter, or outliers are kept.
+    """
+
+    level: str = "plane"
+    robust: bool = False
+    s_filter_um: float = math.nan
+    l_filter_um: float = math.nan
+    outlier_sigmas: float = math.nan
+    volume_level_um: float = 0.0
+    draws: int = 60
     seed: int = 0
 
 
