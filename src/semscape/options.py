@@ -60,8 +60,6 @@ _RANGES = {
     "dense.refine_iterations": _Range(1),
     "dense.mesh_max_vertices": _Range(4),
     "run.seed": _Range(0),
-    "measure.draws": _Range(2),
-    "measure.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
 _CHOICES = {"features.detector": ["sift"]}
@@ -155,7 +153,7 @@ class RunOptions(_Stage):
 
 
 @dataclass(frozen=True)
-class MeasureOptions(_Stage):
+class MeasureOptions:
     """`semscape measure`, no stage of a run: form to take off, filters, outliers, draws of the Monte Carlo.
 
     Nesting indices are in um (px for a run without a pixel size); NaN means no filter, or outliers are kept.

@@ -94,7 +94,8 @@ def level(
 def polynomial_projector(known: BoolArray, degree: int) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Return a function of (values, weights) that fits a polynomial of the grid's x and y and returns it on the grid.
 
-    The moments of a grid separate into rows and columns, so that a fit costs two small matrix products.
+    The moments of a grid separate into rows and columns, so that a fit costs two thin products. They are einsum's and
+    not BLAS's: its threads change the last digit with their number, and wait for each other on a busy machine.
     """
     rows, cols = known.shape
     y, x = (np.linspace(-1.0, 1.0, n) if n > 1 else np.zeros(1) for n in (rows, cols))
@@ -104,14 +105,14 @@ def polynomial_projector(known: BoolArray, degree: int) -> Callable[[FloatArray,
     low_y, low_x = powers_y[:, : degree + 1], powers_x[:, : degree + 1]
 
     def fit(values: FloatArray, weights: FloatArray) -> FloatArray:
-        moments = powers_y.T @ weights @ powers_x
-        right = low_y.T @ (weights * values) @ low_x
+        moments = np.einsum("yi,yj->ij", powers_y, np.einsum("yx,xj->yj", weights, powers_x))
+        right = np.einsum("yi,yj->ij", low_y, np.einsum("yx,xj->yj", weights * values, low_x))
         normal = moments[i_of[:, None] + i_of, j_of[:, None] + j_of]
         # lstsq and not solve: on a single row or column some terms say the same, and the shortest answer serves.
         solution = np.linalg.lstsq(normal, right[i_of, j_of], rcond=1e-13)[0]
         coefficients = np.zeros((degree + 1, degree + 1))
         coefficients[i_of, j_of] = solution
-        surface: FloatArray = low_y @ coefficients @ low_x.T
+        surface: FloatArray = np.einsum("yi,xi->yx", low_y, np.einsum("xj,ij->xi", low_x, coefficients))
         return surface
 
     return fit

@@ -7,16 +7,17 @@ from numba import njit
 
 from semscape.types import BoolArray, FloatArray
 
-_REACH = 2
+_REACH, _LEAST_PAIRS = 2, 3
 _MAD = 1.4826
 
 
 def find_outliers(height: FloatArray, limit: float) -> BoolArray:
     """Return True where a height stands out from its neighbours.
 
-    A height stands out if it differs from the median of the known heights in the 5 x 5 px around it by more than
-    `limit` robust standard deviations (1.4826 MAD) of all such differences. Fewer than six known heights around it
-    give no judgement.
+    A height stands out if it differs from its known neighbours in the 5 x 5 px around it, by both of two measures, by
+    more than `limit` robust standard deviations (1.4826 MAD) of all such differences: from their median, which holds
+    at a step, and from the median of the means of opposite neighbours, which holds on a slope. With fewer than three
+    pairs of opposite neighbours, as along the frame, there is no judgement.
 
     Parameters
     ----------
@@ -34,7 +35,7 @@ def find_outliers(height: FloatArray, limit: float) -> BoolArray:
     """
     if not limit > 0:
         raise ValueError(f"the limit of outliers must be positive, got {limit}")
-    departure = np.abs(_from_median(np.ascontiguousarray(height, dtype=np.float64), _REACH))
+    departure = _departure(np.ascontiguousarray(height, dtype=np.float64), _REACH, _LEAST_PAIRS)
     judged = np.isfinite(departure)
     if not judged.any():
         return np.zeros(height.shape, dtype=bool)
@@ -44,27 +45,44 @@ def find_outliers(height: FloatArray, limit: float) -> BoolArray:
 
 
 @njit(cache=True, nogil=True)
-def _from_median(height: FloatArray, reach: int) -> FloatArray:  # pragma: no cover - compiled
+def _insert(rising: FloatArray, count: int, value: float) -> int:  # pragma: no cover - compiled
+    """Put a value in its place among `count` rising ones: so few are sorted fastest by insertion."""
+    i = count
+    while i > 0 and rising[i - 1] > value:
+        rising[i] = rising[i - 1]
+        i -= 1
+    rising[i] = value
+    return count + 1
+
+
+@njit(cache=True, nogil=True)
+def _departure(height: FloatArray, reach: int, least: int) -> FloatArray:  # pragma: no cover - compiled
     rows, cols = height.shape
     departure = np.full((rows, cols), np.nan)
-    rising = np.empty((2 * reach + 1) ** 2)
+    single, paired = np.empty((2 * reach + 1) ** 2), np.empty((2 * reach + 1) ** 2)
     for row in range(rows):
         for col in range(cols):
-            if np.isnan(height[row, col]):
+            value = height[row, col]
+            if np.isnan(value):
                 continue
-            count = 0
-            for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
-                for c in range(max(col - reach, 0), min(col + reach + 1, cols)):
-                    value = height[r, c]
-                    if np.isnan(value):
-                        continue
-                    # Put in its place among those before it: so few are sorted fastest by insertion.
-                    i = count
-                    while i > 0 and rising[i - 1] > value:
-                        rising[i] = rising[i - 1]
-                        i -= 1
-                    rising[i] = value
-                    count += 1
-            if count > 6:
-                departure[row, col] = height[row, col] - 0.5 * (rising[(count - 1) // 2] + rising[count // 2])
+            n, m = 0, 0
+            for dr in range(0, reach + 1):
+                for dc in range(-reach, reach + 1):
+                    if dr == 0 and dc <= 0:
+                        continue  # each pair of opposite neighbours once
+                    first, second = np.nan, np.nan
+                    if row + dr < rows and 0 <= col + dc < cols:
+                        first = height[row + dr, col + dc]
+                    if row - dr >= 0 and 0 <= col - dc < cols:
+                        second = height[row - dr, col - dc]
+                    if not np.isnan(first):
+                        n = _insert(single, n, first)
+                    if not np.isnan(second):
+                        n = _insert(single, n, second)
+                    if not np.isnan(first + second):
+                        m = _insert(paired, m, 0.5 * (first + second))
+            if m >= least:
+                from_single = abs(value - 0.5 * (single[(n - 1) // 2] + single[n // 2]))
+                from_paired = abs(value - 0.5 * (paired[(m - 1) // 2] + paired[m // 2]))
+                departure[row, col] = min(from_single, from_paired)
     return departure

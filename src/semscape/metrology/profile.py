@@ -90,9 +90,10 @@ def profile_parameters(profile: Profile, nesting_index: float | None = None) -> 
     -------
     dict
         `Pa` = mean |z|, `Pq` = root mean square, `Pt` = highest less lowest, over all that is known. `Ra`, `Rq`, `Rt`
-        the same of the R-profile; `Rz` = mean over the sections of highest less lowest, where a section counts if half
-        of it is known. ISO 21920-3 wants five sections; `sections` says how many there are, up to five, from the
-        middle of the profile. Without a single one Rz is NaN.
+        the same of the R-profile, without half a Nic at each end, where its mean line is one-sided. `Rz` = mean over
+        the sections of highest less lowest, where a section counts if half of it is known. ISO 21920-3 wants five
+        sections; `sections` says how many there are, up to five, from the middle of the profile. Without a single one
+        Rz is NaN, and all of R where the profile is no longer than Nic.
 
     References
     ----------
@@ -104,7 +105,7 @@ def profile_parameters(profile: Profile, nesting_index: float | None = None) -> 
     >>> wave = Profile(x, np.sin(2 * np.pi * x / 2), 0.1)
     >>> found = profile_parameters(wave, 10.0)
     >>> round(found["Ra"] * np.pi / 2, 2), round(found["Rz"], 1), found["sections"]
-    (1.0, 2.0, 5.0)
+    (0.99, 2.0, 5.0)
     """
     primary = _without_line(profile)
     known = np.isfinite(primary)
@@ -112,8 +113,11 @@ def profile_parameters(profile: Profile, nesting_index: float | None = None) -> 
     found = {"Pa": float(np.abs(z).mean()), "Pq": float(np.sqrt((z * z).mean())), "Pt": float(np.ptp(z))}
     if nesting_index is None:
         return found
-    rough = primary - profile_s_filter(primary, profile.step, nesting_index)
+    travel = round(nesting_index / 2 / profile.step)
+    rough = (primary - profile_s_filter(primary, profile.step, nesting_index))[travel : len(primary) - travel]
     z = rough[np.isfinite(rough)]
+    if not len(z):
+        return found | dict.fromkeys(("Ra", "Rq", "Rz", "Rt"), np.nan) | {"sections": 0.0}
     found |= {"Ra": float(np.abs(z).mean()), "Rq": float(np.sqrt((z * z).mean()))}
     heights = _section_heights(rough, profile.step, nesting_index)
     found |= {"Rz": float(np.mean(heights)) if heights else np.nan, "Rt": float(np.ptp(z))}

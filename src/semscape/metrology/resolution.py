@@ -89,7 +89,7 @@ def window_in_spectrum(height: FloatArray) -> float:
     if quiet.sum() < _LEAST_KNOWN:
         return 0.0
     frequency, power, count = _radial_spectrum(np.where(quiet, bent, 0.0) * _tapered(quiet))
-    usable = (count > 0) & (power > 0)
+    usable = power > 0
     frequency, level, weight = frequency[usable], np.log(power[usable]), np.sqrt(count[usable])
     # Each candidate window has its band. From wide to narrow: beside its band a window shows as none or a narrower
     # one, until the candidate is the window itself.
@@ -143,16 +143,21 @@ def _tapered(quiet: BoolArray) -> FloatArray:
 
 
 def _radial_spectrum(bent: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return frequency (1/px), mean power of the heights and number of waves, per ring of the spectrum."""
+    """Return frequency (1/px), power of the heights and number of waves, per ring of the spectrum.
+
+    The power is the median over the ring: the lines of a grating and the rays of an edge do not count.
+    """
     spectrum = fft.rfft2(bent.astype(np.float32), workers=-1)
-    power = spectrum.real.astype(np.float64) ** 2 + spectrum.imag.astype(np.float64) ** 2
     fy, fx = fft.fftfreq(bent.shape[0])[:, None], fft.rfftfreq(bent.shape[1])[None]
     response = 4 - 2 * np.cos(2 * np.pi * fx) - 2 * np.cos(2 * np.pi * fy)
     radius = np.hypot(fx, fy)
-    ring = np.where((radius > 4 / min(bent.shape)) & (radius < 0.5), (radius * 2 * _RINGS).astype(np.int64), _RINGS)
-    power = power / np.maximum(response, 1e-12) ** 2
-    count, total, place = (
-        np.bincount(ring.ravel(), values, minlength=_RINGS + 1)[:_RINGS]
-        for values in (None, power.ravel(), radius.ravel())
-    )
-    return place / np.maximum(count, 1), total / np.maximum(count, 1), count.astype(np.float64)
+    inside = (radius > 4 / min(bent.shape)) & (radius < 0.5)
+    power = (spectrum.real[inside] ** 2 + spectrum.imag[inside] ** 2).astype(np.float64) / response[inside] ** 2
+    radius = radius[inside]
+    ring = (radius * 2 * _RINGS).astype(np.int16)
+    order = np.argsort(ring, kind="stable")
+    bounds = np.searchsorted(ring[order], np.arange(_RINGS + 1))
+    filled = np.flatnonzero(np.diff(bounds))
+    groups = [order[bounds[i] : bounds[i + 1]] for i in filled]
+    frequency = np.array([radius[group].mean() for group in groups])
+    return frequency, np.array([np.median(power[group]) for group in groups]), np.diff(bounds)[filled].astype(float)

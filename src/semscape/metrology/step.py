@@ -118,8 +118,13 @@ def step_along_profile(profile: Profile, edges: tuple[float, ...]) -> Step:
 
 def _parallel_fit(axes: list[FloatArray], z: FloatArray, upper: FloatArray) -> Step:
     design = np.column_stack([upper, np.ones_like(z), *(axis - axis.mean() for axis in axes)])
-    solution = np.linalg.lstsq(design, z - z.mean(), rcond=None)[0]
-    residual = z - z.mean() - design @ solution
+    z = z - z.mean()
+    size = np.sqrt((design**2).mean(axis=0))
+    size[size == 0] = 1.0
+    scaled = design / size
+    normal, right = np.einsum("ni,nj->ij", scaled, scaled), np.einsum("ni,n->i", scaled, z)
+    solution = np.linalg.lstsq(normal, right, rcond=1e-12)[0] / size
+    residual = z - np.einsum("ni,i->n", design, solution)
     steepness = np.sqrt(1 + float((solution[2:] ** 2).sum()))
     rise = float(solution[0])
     return Step(rise, rise / steepness, float(np.sqrt((residual**2).mean())))
