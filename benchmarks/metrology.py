@@ -66,7 +66,7 @@ def measure_resolution(specimen: str) -> dict[str, Any]:
 
     import semscape
     from semscape.metrology.register import compare
-    from semscape.metrology.resolution import PERIOD_PER_SIGMA, _second_differences, _tapered, lateral_resolution
+    from semscape.metrology.resolution import PERIOD_PER_SIGMA, lateral_resolution, second_differences, tapered
     from semscape.options import Options
     from semscape.simulate import SimulationOptions, simulate
 
@@ -75,8 +75,8 @@ def measure_resolution(specimen: str) -> dict[str, Any]:
     height_map = semscape.reconstruct(series, rng=0).height_map
     found = height_map.height_um
     true = compare(found, truth.height_um, height_map.pixel_size_um).moved
-    (bent, quiet), (bent_true, quiet_true) = _second_differences(found), _second_differences(true)
-    weights = _tapered(quiet & quiet_true)
+    (bent, quiet), (bent_true, quiet_true) = second_differences(found), second_differences(true)
+    weights = tapered(quiet & quiet_true)
     ours, theirs = (fft.rfft2(np.where(weights > 0, b, 0.0) * weights) for b in (bent, bent_true))
     radius = np.hypot(fft.fftfreq(found.shape[0])[:, None], fft.rfftfreq(found.shape[1])[None])
     ring = (radius * 200).astype(int)

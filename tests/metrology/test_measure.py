@@ -103,23 +103,24 @@ def test_a_step_along_a_profile_and_roughness_with_an_l_filter() -> None:
     assert "profile/Ra" not in values(run(terrain(), profile=line))
 
 
-def test_the_sigma_holds_the_height_scale_and_a_large_map_is_thinned_without_changing_it() -> None:
+@pytest.mark.parametrize("window", [0.0, 2.0])
+def test_the_sigma_of_a_large_map_is_that_of_theory_thinned_or_not(window: float) -> None:
+    """White noise draws every pixel, noise of a window of 2 px every second; relief ends at the window, as matched."""
     rng = np.random.default_rng(0)
-    z = ndimage.gaussian_filter(rng.normal(size=(700, 700)), 6)
+    z = rng.normal(size=(700, 700))
+    if window:
+        z = ndimage.gaussian_filter(z, window)
     z /= z.std()
-    options = MeasureOptions(draws=40)
-    found = {}
-    for window in (0.4, 2.0):  # white noise: every pixel drawn; wide noise: every second
-        measured = measure(
-            height_map(z, sigma=0.3), MeasureRequest(options), height_scale_relative_sigma=0.0, window_sigma_px=window,
-            rng=np.random.default_rng(1),
-        )  # fmt: skip
-        found[window] = {figure.name: figure for figure in measured.figures}["Sq"], measured.resolution.sigma_px
-    for figure, correlation in found.values():
-        # Var(Sq) of noise on a surface: sigma² (effective pixels), the surface's own correlation included.
-        area = 4 * np.pi * (1 / (1 / (2 * correlation**2) + 1 / (2 * 36.0))) / 2 if correlation else 1.0
-        assert figure.sigma == pytest.approx(0.3 * np.sqrt(area) / 700, rel=0.4)
-        assert figure.noise_bias == pytest.approx(np.sqrt(1 + 0.09) - 1, rel=0.1)
+    measured = measure(
+        height_map(z, sigma=0.3), MeasureRequest(MeasureOptions(draws=60)), height_scale_relative_sigma=0.0,
+        window_sigma_px=window, rng=np.random.default_rng(1),
+    )  # fmt: skip
+    figure = next(figure for figure in measured.figures if figure.name == "Sq")
+    # Both relief and noise are correlated as exp(-d² / 4 s²): the sum of the product over all lags is 2 pi s² px.
+    area = 2 * np.pi * window**2 if window else 1.0
+    random = np.sqrt(figure.sigma**2 - figure.noise_bias**2)
+    assert random == pytest.approx(0.3 * np.sqrt(area) / 700, rel=0.3)
+    assert figure.noise_bias == pytest.approx(np.sqrt(1 + 0.09) - 1, rel=0.1)
 
 
 def test_warnings_say_what_limits() -> None:

@@ -37,8 +37,8 @@ def rough(n: int, falling: float, rng: np.random.Generator) -> np.ndarray:
     return z / z.std()
 
 
-def test_sigma_is_the_scatter_of_repeated_measurements_and_the_bias_that_of_noise() -> None:
-    """100 maps of one surface, each with its own noise and height scale: what one of them states is their scatter."""
+def test_sigma_is_the_error_of_repeated_measurements_and_the_bias_that_of_noise() -> None:
+    """100 maps of one surface, each with its own noise and height scale: one of them states the rms error of all."""
     rng = np.random.default_rng(0)
     cols = np.indices((80, 80))[1]
     surface = np.where(cols > 40, 2.0, 0.0) + 0.5 * ndimage.gaussian_filter(rng.normal(size=(80, 80)), 3) * 10
@@ -50,16 +50,16 @@ def test_sigma_is_the_scatter_of_repeated_measurements_and_the_bias_that_of_nois
         return noisy * (1 + 0.02 * rng.standard_normal())
 
     runs = [figures(taken()) for _ in range(100)]
-    scatter = {name: np.std([run[name] for run in runs], ddof=1) for name in truth}
+    error = {name: np.sqrt(np.mean([(run[name] - truth[name]) ** 2 for run in runs])) for name in truth}
     bias = {name: np.mean([run[name] for run in runs]) - truth[name] for name in truth}
     stated = monte_carlo(
         taken(), sigma, figures, correlation_sigma_px=3.0, scale_relative_sigma=0.02, draws=100, rng=rng
     )
     for name in truth:
-        assert 0.7 < stated[name].sigma / scatter[name] < 1.4, name
+        assert 0.7 < stated[name].sigma / error[name] < 1.4, name
     for name in ("Sa", "Sq"):
         assert bias[name] > 0.02
-        assert stated[name].noise_bias == pytest.approx(bias[name], abs=0.35 * bias[name] + 3 * scatter[name] / 10)
+        assert stated[name].noise_bias == pytest.approx(bias[name], rel=0.4)
 
 
 def test_the_height_scale_alone_gives_its_share() -> None:

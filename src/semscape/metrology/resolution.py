@@ -85,10 +85,10 @@ def lateral_resolution(height: FloatArray, spacing: Spacing, window_sigma_px: fl
 
 def window_in_spectrum(height: FloatArray) -> float:
     """Return the sigma in px of the Gaussian window that the fall of the map's spectrum shows, 0 for none."""
-    bent, quiet = _second_differences(height)
+    bent, quiet = second_differences(height)
     if quiet.sum() < _LEAST_KNOWN:
         return 0.0
-    frequency, power, count = _radial_spectrum(np.where(quiet, bent, 0.0) * _tapered(quiet))
+    frequency, power, count = _radial_spectrum(np.where(quiet, bent, 0.0) * tapered(quiet))
     usable = power > 0
     frequency, level, weight = frequency[usable], np.log(power[usable]), np.sqrt(count[usable])
     # Each candidate window has its band. From wide to narrow: beside its band a window shows as none or a narrower
@@ -114,7 +114,7 @@ def _fitted_square(frequency: FloatArray, level: FloatArray, weight: FloatArray)
     return float(solution[0]), float(np.sqrt(np.linalg.pinv(weighted.T @ weighted)[0, 0]))
 
 
-def _second_differences(height: FloatArray) -> tuple[FloatArray, BoolArray]:
+def second_differences(height: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return the five-point Laplacian, and where it is known and no jump.
 
     The Laplacian whitens the steep spectrum of relief, whose large waves would otherwise leak all over it through the
@@ -134,7 +134,7 @@ def _second_differences(height: FloatArray) -> tuple[FloatArray, BoolArray]:
     return bent, quiet if quiet.sum() > 0.1 * known.sum() else known
 
 
-def _tapered(quiet: BoolArray) -> FloatArray:
+def tapered(quiet: BoolArray) -> FloatArray:
     """Return weights that rise smoothly from 0 at what is left out and at the frame: a sharp edge would leak."""
     framed = np.pad(quiet, 1)
     depth = ndimage.distance_transform_edt(framed)[1:-1, 1:-1]

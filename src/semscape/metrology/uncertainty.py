@@ -7,9 +7,10 @@ Two things are drawn, many times:
   over a window of that sigma leaves just such errors;
 - the height scale: one factor 1 + s n for the whole map, n standard normal, s its relative sigma.
 
-Each draw is measured like the map. Sigma is the standard deviation of what comes out. The mean of the draws lies above
-the map's own value by what noise adds: as the map already holds such noise once, its value exceeds the surface's by
-about as much (`noise_bias`). Errors that are smooth over the whole field, apart from the scale, are not drawn.
+Each draw is measured like the map. The mean of the draws lies above the map's own value by what noise adds: as the map
+already holds such noise once, its value exceeds the surface's by about as much (`noise_bias`). That is told and not
+taken off, so it counts in sigma, the root mean square difference of the draws from the map's value. Errors that are
+smooth over the whole field, apart from the scale, are not drawn.
 """
 
 from __future__ import annotations
@@ -88,10 +89,11 @@ def monte_carlo(
         noisy = (height + sigma * correlated_noise(height.shape, correlation_sigma_px, rng=rng)) * factor
         for name, value in measure(noisy).items():
             samples[name].append(value)
-    return {
-        name: Estimate(value, float(np.std(samples[name], ddof=1)), float(np.mean(samples[name])) - value)
-        for name, value in base.items()
-    }
+    found = {}
+    for name, value in base.items():
+        bias = float(np.mean(samples[name])) - value
+        found[name] = Estimate(value, float(np.hypot(np.std(samples[name], ddof=1), bias)), bias)
+    return found
 
 
 def correlated_noise(shape: tuple[int, int], sigma_px: float, *, rng: np.random.Generator) -> FloatArray:
