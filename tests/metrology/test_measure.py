@@ -123,6 +123,19 @@ def test_the_sigma_of_a_large_map_is_that_of_theory_thinned_or_not(window: float
     assert figure.noise_bias == pytest.approx(np.sqrt(1 + 0.09) - 1, rel=0.1)
 
 
+def test_robust_levelling_holds_for_the_sigmas_too() -> None:
+    """A particle on a tilted plane: with a robust fit neither the value nor its sigma knows the plane's tilt."""
+    rows, cols = np.indices((120, 120))
+    noise = ndimage.gaussian_filter(np.random.default_rng(0).normal(0, 0.1, rows.shape), 2)
+    dirty = 0.05 * cols + noise + np.where((rows < 40) & (cols > 85), 4.0, 0.0)
+    clean = np.where((rows < 40) & (cols > 85), 4.0, 0.0) + noise
+    robust, plain = ({f.name: f for f in run(dirty, robust=flag, draws=20).figures} for flag in (True, False))
+    truth = {f.name: f for f in run(clean, level="none", draws=20).figures}
+    assert robust["Sq"].value == pytest.approx(truth["Sq"].value, rel=0.01)
+    assert robust["Sq"].sigma == pytest.approx(truth["Sq"].sigma, rel=0.3)
+    assert abs(plain["Sq"].value / truth["Sq"].value - 1) > 0.1
+
+
 def test_warnings_say_what_limits() -> None:
     text = " ".join(run(terrain()).warnings)
     assert "there is no S-filter" in text

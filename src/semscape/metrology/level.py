@@ -91,6 +91,15 @@ def level(
     return Levelled(height - fitted, fitted)
 
 
+def majority(levelled: FloatArray) -> BoolArray:
+    """Return where a robustly levelled map has weight in its fit: known, and within the reach of Tukey's biweight."""
+    size = np.abs(levelled)
+    known: BoolArray = np.isfinite(levelled)
+    if known.any():
+        known &= np.nan_to_num(size, nan=np.inf) <= _TUKEY * _MAD * float(np.median(size[known]))
+    return known
+
+
 def polynomial_projector(known: BoolArray, degree: int) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Return a function of (values, weights) that fits a polynomial of the grid's x and y and returns it on the grid.
 

@@ -21,7 +21,7 @@ from semscape.metrology.areal import developed_area_ratio, developed_areas, heig
 from semscape.metrology.filters import gaussian_smoother
 from semscape.metrology.findings import Figure, figures_of, surface_warnings
 from semscape.metrology.grid import Region
-from semscape.metrology.level import FormName, level
+from semscape.metrology.level import FormName, level, majority
 from semscape.metrology.material_ratio import material_ratio_parameters
 from semscape.metrology.outliers import find_outliers
 from semscape.metrology.planes import angle_between, fit_plane
@@ -134,14 +134,18 @@ def measure(
 
 
 def prepared_surfaces(
-    height: FloatArray, spacing: float, options: MeasureOptions
+    height: FloatArray, spacing: float, options: MeasureOptions, *, for_draws: bool = False
 ) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
     """Return a function from heights, known where `height` is, to the S-F and the S-L surface.
 
-    The filters' weights are computed once, for all draws of a Monte Carlo.
+    The filters' weights are computed once. For the draws of a Monte Carlo so is the majority that a robust fit
+    levels on, for it is the same in all of them.
     """
     form = cast("FormName", options.level)
     known = np.isfinite(height)
+    robust, region = options.robust and form != "none", None
+    if robust and for_draws:
+        robust, region = False, majority(level(height, spacing, form, robust=True).height)
     if form == "sphere":
         known = np.isfinite(level(height, spacing, form, robust=options.robust).height)
     s_filter, l_filter = (
@@ -150,12 +154,12 @@ def prepared_surfaces(
     )
 
     def prepare(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        smooth = np.where(known, level(heights, spacing, form, robust=options.robust).height, np.nan)
+        smooth = np.where(known, level(heights, spacing, form, robust=robust, region=region).height, np.nan)
         if s_filter is not None:
             # A draw's sphere may end a little earlier; what it does not reach must not become a hole of the filter.
             smooth = s_filter(np.where(known, np.nan_to_num(smooth), np.nan))
             if form not in ("none", "sphere"):
-                smooth = level(smooth, spacing, form, robust=options.robust).height
+                smooth = level(smooth, spacing, form, robust=robust, region=region).height
         if l_filter is None:
             return smooth, smooth
         return smooth, smooth - l_filter(np.where(known, np.nan_to_num(smooth), np.nan))
@@ -230,7 +234,7 @@ def _with_uncertainty(
     thinned, sigma, step_px = matched[::stride, ::stride], uncertainty[::stride, ::stride], pixel * stride
     if np.isfinite(thinned).sum() < 10:
         raise NoAnswerError(f"{np.isfinite(matched).sum()} heights are known in the region; choose a larger one")
-    prepare = prepared_surfaces(thinned, step_px, options)
+    prepare = prepared_surfaces(thinned, step_px, options, for_draws=True)
     regions = None if request.step is None else [r.scaled(1 / stride).mask(thinned.shape) for r in request.step]
     line = None if request.profile is None else tuple(place / stride for place in request.profile)
     along = replace(request, profile=line)  # type: ignore[arg-type]
