@@ -154,6 +154,23 @@ class RunOptions(_Stage):
 
 
 @dataclass(frozen=True)
+class MeasureOptions:
+    """`semscape measure`, no stage of a run: form to take off, filters, outliers, draws of the Monte Carlo.
+
+    Nesting indices are in um (px for a run without a pixel size); NaN means no filter, or outliers are kept.
+    """
+
+    level: str = "plane"
+    robust: bool = False
+    s_filter_um: float = math.nan
+    l_filter_um: float = math.nan
+    outlier_sigmas: float = math.nan
+    volume_level_um: float = 0.0
+    draws: int = 60
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class Options:
     """All options of a run.
 
