@@ -15,7 +15,7 @@ from mahotas.features import surf
 from numba import njit
 from numpy.typing import NDArray
 
-from semscape.options import FeaturesOptions
+from semscape.features.found import Found, least_blob_height
 from semscape.types import FloatArray, Keypoints
 
 # SURF's descriptors have unit length; as whole numbers of this size their products are exact in float32.
@@ -27,25 +27,18 @@ _LEAST_SIZE_PX = 64
 _REACH_IN_SCALES = 10.0
 _SCALE_PER_LOBE = 0.4
 # The determinant at the centre of a blob of unit height that fits the filter.
-_RESPONSE_OF_UNIT_BLOB = 0.011
+_RESPONSE_OF_UNIT_BLOB = 0.030
 
 
-def find_surf(image: NDArray[np.uint8], least_contrast: float) -> tuple[Keypoints, FloatArray]:
+def find_surf(image: NDArray[np.uint8], contrast_threshold: float) -> Found:
     """Find and describe the blobs of an image (H, W) where the determinant of the Hessian peaks.
-
-    Returns
-    -------
-    Keypoints
-        `scale_px` is the sigma of the blob; `orientation_rad` points to where it gets brighter; 64 whole numbers.
-    reach_px : (N,) float array
-        How far each descriptor reaches from its keypoint.
 
     References
     ----------
     Bay et al. 2008, doi:10.1016/j.cviu.2007.09.014
     """
     level = image.astype(np.float64)
-    threshold = _RESPONSE_OF_UNIT_BLOB * least_contrast**2
+    threshold = _RESPONSE_OF_UNIT_BLOB * least_blob_height(contrast_threshold) ** 2
     rows = []
     for octave in range(_OCTAVES):
         if min(level.shape) < _LEAST_SIZE_PX:
@@ -64,11 +57,11 @@ def find_surf(image: NDArray[np.uint8], least_contrast: float) -> tuple[Keypoint
         scale_px=scale,
         # mahotas measures the direction of getting darker, from the downward axis to the right.
         orientation_rad=np.arctan2(-np.cos(angle), -np.sin(angle)) % (2 * np.pi),
-        response=response,
+        response=np.sqrt(response / _RESPONSE_OF_UNIT_BLOB),
         descriptors=np.rint(_LEVELS * found[:, 6:]).astype(np.float32),
         kind="surf",
     )
-    return keypoints, _REACH_IN_SCALES * scale
+    return Found(keypoints, _REACH_IN_SCALES * scale)
 
 
 def _find_in_octave(integral: FloatArray, threshold: float) -> FloatArray:
@@ -127,7 +120,8 @@ def _determinant(integral: FloatArray, y: int, x: int, lobe: int) -> float:
         - _box(integral, y + shift, x + shift, lobe, lobe)
     )
     area = float(long * long)
-    return (xx * yy - 0.36 * xy * xy) / (area * area)
+    determinant: float = (xx * yy - 0.36 * xy * xy) / (area * area)
+    return determinant
 
 
 @njit(cache=True, nogil=True)
@@ -136,4 +130,5 @@ def _box(integral: FloatArray, y: int, x: int, height: int, width: int) -> float
     top, left = max(y - height // 2 - 1, 0), max(x - width // 2 - 1, 0)
     bottom = min(y + height // 2, integral.shape[0] - 1)
     right = min(x + width // 2, integral.shape[1] - 1)
-    return (integral[bottom, right] - integral[top, right]) - (integral[bottom, left] - integral[top, left])
+    total: float = (integral[bottom, right] - integral[top, right]) - (integral[bottom, left] - integral[top, left])
+    return total
