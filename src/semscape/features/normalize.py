@@ -26,8 +26,7 @@ def normalize_contrast(image: ImageArray, mask: BoolArray, sigma_px: float) -> N
     def local_mean(values: ImageArray) -> ImageArray:
         if weight is None or coverage is None:
             return _smooth(values, sigma_px, step)
-        mean: ImageArray = _smooth(values * weight, sigma_px, step) / coverage
-        return mean
+        return np.divide(_smooth(values * weight, sigma_px, step), coverage, dtype=np.float32)
 
     deviation = image - local_mean(image)
     if weight is not None:
