@@ -90,7 +90,7 @@ class FeaturesOptions(_Stage):
     """Keypoints: detector, contrast threshold after local normalization, and the matching rules.
 
     Where there are more than `max_keypoints`, the strongest are kept, or with `spread` those that are the
-    strongest within the largest radius about them.
+    strongest within the largest radius about them. `guided` adds a second pass along the epipolar lines.
     """
 
     detector: str = "sift"
@@ -99,6 +99,7 @@ class FeaturesOptions(_Stage):
     max_keypoints: int = 40_000
     spread: bool = False
     ratio: float = 0.8
+    guided: bool = True
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from semscape.features.match import match
 from semscape.io.series import load_series
 from semscape.io.simulated import TRUTH_JSON, read_truth
 from semscape.options import FeaturesOptions, Options
-from semscape.robust.acransac import ac_ransac
-from semscape.types import BoolArray, FloatArray, Keypoints, SimulationTruth, TiltSeries
+from semscape.sfm.two_view import match_pair
+from semscape.types import FloatArray, Keypoints, Matches, Micrograph, SimulationTruth, TiltSeries, TwoViewGeometry
 
 TOLERANCE_PX = 3.0
 """A match is right when it lies this close to where the true cameras and heights put it."""
@@ -96,7 +96,7 @@ def compare_features(
     series : TiltSeries
         Two or more views.
     options : Options, optional
-        `features` but for the detector, `robust`, and the seed; defaults where left out.
+        `features` but for the detector and the second matching pass, `robust`, and the seed; defaults where left out.
     truth : SimulationTruth, optional
         Of a simulated series, for precision and error.
     detectors : iterable of str
@@ -121,7 +121,8 @@ def compare_features(
     for detector in detectors:
         if progress:
             progress(detector)
-        chosen = replace(options, features=replace(options.features, detector=detector))
+        # The second pass along epipolar lines would hide what a descriptor tells apart on its own.
+        chosen = replace(options, features=replace(options.features, detector=detector, guided=False))
         _warm_up(series, chosen)
         rows.append(_figures(series, chosen, truth))
     return tuple(rows)
@@ -141,26 +142,25 @@ def _warm_up(series: TiltSeries, options: Options) -> None:
 
 def _figures(series: TiltSeries, options: Options, truth: SimulationTruth | None) -> DetectorFigures:
     start = time.perf_counter()
-    views = [_detected(series, index, options.features) for index in range(series.n_views)]
+    views = tuple(_detected(view, options.features) for view in series.views)
     detect_s = (time.perf_counter() - start) / series.n_views
     pairs = [(index, index + 1) for index in range(series.n_views - 1)]
     putative, inliers, failed, match_s = 0, 0, 0, 0.0
     residual, putative_error, error = [], [], []
     for pair in pairs:
-        first, second = views[pair[0]], views[pair[1]]
         start = time.perf_counter()
-        kept, from_line = np.zeros(0, bool), np.zeros(0)
-        xy1 = xy2 = np.zeros((0, 2))
-        if first is not None and second is not None:
-            found = match(pair, first, second, ratio=options.features.ratio)
-            xy1, xy2 = first.xy[found.indices[:, 0]], second.xy[found.indices[:, 1]]
-            kept, from_line = _verified(pair, xy1, xy2, series.shape, options)
+        found, geometry = _verified(pair, views, series, options)
         match_s += time.perf_counter() - start
-        putative += len(xy1)
+        if geometry is None:
+            failed += 1
+            found = match(pair, views[pair[0]], views[pair[1]], ratio=options.features.ratio)
+        kept = np.zeros(len(found), bool) if geometry is None else geometry.inliers
+        putative += len(found)
         inliers += int(kept.sum())
-        failed += not kept.any()
-        residual.append(from_line[kept])
+        if geometry is not None:
+            residual.append(geometry.residual_px[kept])
         if truth is not None:
+            xy1, xy2 = (views[view].xy[rows] for view, rows in zip(pair, found.indices.T, strict=True))
             off = np.linalg.norm(true_match_px(truth, pair, xy1) - xy2, axis=1)
             known = np.isfinite(off)
             putative_error.append(off[known])
@@ -168,7 +168,7 @@ def _figures(series: TiltSeries, options: Options, truth: SimulationTruth | None
     right = [values[values <= TOLERANCE_PX] for values in error]
     return DetectorFigures(
         detector=options.features.detector,
-        keypoints=sum(len(found) for found in views if found is not None) / series.n_views,
+        keypoints=sum(map(len, views)) / series.n_views,
         putative=putative / len(pairs),
         putative_precision=_share_right(putative_error),
         inliers=inliers / len(pairs),
@@ -181,26 +181,23 @@ def _figures(series: TiltSeries, options: Options, truth: SimulationTruth | None
     )
 
 
-def _detected(series: TiltSeries, index: int, options: FeaturesOptions) -> Keypoints | None:
+def _detected(view: Micrograph, options: FeaturesOptions) -> Keypoints:
     try:
-        return detect(series.views[index], options)
+        return detect(view, options)
     except SemscapeError:
-        return None
+        none = np.zeros(0)
+        return Keypoints(np.zeros((0, 2)), none, none, none, np.zeros((0, 1), np.uint8), options.detector)
 
 
 def _verified(
-    pair: tuple[int, int], xy1: FloatArray, xy2: FloatArray, shape: tuple[int, int], options: Options
-) -> tuple[BoolArray, FloatArray]:
-    """Return the inliers (M,) of a pair and all distances (M,) to epipolar lines; no inlier without a geometry."""
-    none = np.zeros(len(xy1), bool), np.zeros(len(xy1))
+    pair: tuple[int, int], views: tuple[Keypoints, ...], series: TiltSeries, options: Options
+) -> tuple[Matches, TwoViewGeometry | None]:
+    """Return a pair's matches and its geometry, None where it has no meaningful one."""
     rng = np.random.default_rng([options.run.seed, *pair])
     try:
-        geometry = ac_ransac(pair, xy1, xy2, shape, max_trials=options.robust.max_trials, rng=rng)
+        return match_pair(pair, views, series.names, series.shape, options.features, options.robust, rng)
     except SemscapeError:
-        return none
-    if geometry.log10_nfa >= 0 or geometry.inliers.sum() < options.robust.min_inliers:
-        return none
-    return geometry.inliers, geometry.residual_px
+        return Matches(pair, np.empty((0, 2), np.int64), np.empty(0)), None
 
 
 def _share_right(errors: list[FloatArray]) -> float | None:
