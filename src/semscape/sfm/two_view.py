@@ -9,6 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from semscape.errors import TooFewMatchesError
+from semscape.features.guided import add_guided_matches, is_parallel
 from semscape.features.match import match
 from semscape.options import FeaturesOptions, RobustOptions
 from semscape.robust.acransac import ac_ransac
@@ -26,7 +27,7 @@ def match_pair(
     robust: RobustOptions,
     rng: np.random.Generator,
 ) -> tuple[Matches, TwoViewGeometry]:
-    """Match two views and estimate their epipolar geometry.
+    """Match two views, estimate their epipolar geometry, and with `features.guided` match again along its lines.
 
     Raises
     ------
@@ -47,6 +48,8 @@ def match_pair(
             f"{n_inliers} of {len(found)} matches {between} fit one epipolar geometry (log10 NFA "
             f"{geometry.log10_nfa:.1f}), need {robust.min_inliers} and a negative log10 NFA"
         )
+    if features.guided and is_parallel(geometry):
+        return add_guided_matches(found, geometry, keypoints[i1], keypoints[i2], ratio=features.ratio)
     return found, geometry
 
 
