@@ -19,6 +19,7 @@ import os
 import re
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,40 @@ def read_truth(folder: Path | str) -> SimulationTruth:
         raise BadInputError(
             f"{path} holds no readable truth of a simulated series ({TRUTH_JSON}, {TRUTH_NPZ}): {error}"
         ) from error
+
+
+def truth_of_views(folder: Path | str, names: tuple[str, ...]) -> SimulationTruth:
+    """Read the truth of the views that a result has, in its order: it may have left some out.
+
+    Raises
+    ------
+    BadInputError
+        If there is no readable truth, or a view is not one of the simulated series.
+    """
+    truth = read_truth(folder)
+    told = json.loads((Path(folder) / TRUTH_JSON).read_text(encoding="utf-8"))
+    known = [str(view["name"]) for view in told["views"]]
+    foreign = [name for name in names if name not in known]
+    if foreign:
+        raise BadInputError(
+            f"the result's view {foreign[0]!r} is not one of the series whose truth {folder} holds "
+            f"({known[0]} ... {known[-1]}); give the folder that was reconstructed"
+        )
+    at = np.array([known.index(name) for name in names])
+    motion = truth.motion
+    return replace(
+        truth,
+        motion=replace(
+            motion,
+            tilt_rad=motion.tilt_rad[at],
+            roll_rad=motion.roll_rad[at],
+            scale_px_per_um=motion.scale_px_per_um[at],
+            anisotropy=motion.anisotropy[at],
+            translation_px=motion.translation_px[at],
+        ),
+        stage_tilt_rad=truth.stage_tilt_rad[at],
+        visible=truth.visible[at],
+    )
 
 
 def _require_own(path: Path) -> None:

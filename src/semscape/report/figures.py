@@ -88,6 +88,16 @@ def hillshade_picture(height_map: HeightMap) -> bytes:
     return _map_picture(height_map, shade, "gray", None, limits=(0.0, 1.0), half=True)
 
 
+def error_picture(height_map: HeightMap, error_um: FloatArray) -> bytes:
+    """Return the map of signed height errors (H, W) in the map's unit, blue too low and red too high, with its bar."""
+    sign = UNIT_SIGNS[height_map.length_unit]
+    known = np.abs(error_um[np.isfinite(error_um)])
+    # Symmetric, so that white is no error; false heights shall not wash out the rest.
+    largest = max(float(np.percentile(known, 98)), 1e-12) if known.size else 1.0
+    limits = -largest, largest
+    return _map_picture(height_map, error_um, "RdBu_r", f"Height error, found − true ({sign})", limits=limits)
+
+
 def pair_picture(result: Result) -> bytes | None:
     """Return the most meaningful pair side by side with its inliers, or None where no pair was kept.
 
