@@ -16,7 +16,7 @@ ALIGNMENTS: tuple[AlignmentKind, ...] = ("none", "rigid", "similarity")
 
 _CLIPPING_ROUNDS = 8
 _MAX_ITERATIONS = 40
-_TOLERANCE = 1e-8
+_TOLERANCE = 1e-5
 # Tukey's usual constant: 95 % efficiency for normal errors.
 _TUKEY = 4.685
 _MAD_TO_SIGMA = 1.4826
@@ -135,7 +135,7 @@ def align_to_surface(
             columns.append(np.einsum("ij,ij->i", arm, foot.normals)[:, None])
         design = np.hstack(columns) * weight[:, None]
         # The cut-off leaves directions that the surface does not determine unchanged.
-        step, *_ = np.linalg.lstsq(design, -offset * weight / size, rcond=1e-6)
+        step, *_ = np.linalg.lstsq(design.T @ design, design.T @ (-offset * weight / size), rcond=1e-8)
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         scale = float(np.exp(step[6])) if kind == "similarity" else 1.0
         shift = centre + size * step[3:6] - scale * turn @ centre

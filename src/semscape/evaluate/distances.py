@@ -13,7 +13,7 @@ from semscape.evaluate.units import Units, rounded
 from semscape.types import FloatArray, IntArray
 
 _SAMPLES = 40_000
-_ALIGNMENT_SAMPLES = 5_000
+_ALIGNMENT_SAMPLES = 4_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,5 +117,5 @@ def quantile(values: FloatArray, weight: FloatArray, share: float) -> float:
 
 
 def _thinned(count: int, most: int) -> IntArray:
-    """Return at most so many of `count` indices, evenly spaced: over a surface, whose rows follow its tree, in place."""
+    """Return at most so many of `count` indices, evenly spaced; over a surface, that is evenly in place."""
     return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)

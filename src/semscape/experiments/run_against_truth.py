@@ -59,10 +59,6 @@ def evaluate_run(run: Path, truth: Path, output: Path) -> tuple[dict[str, Any], 
         truth_of_views(truth, names),
         mesh=None if height_map.length_unit == "px" else read_mesh(run / "mesh.ply"),
     )
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInputError(f"the output folder {output} cannot be made: {error.strerror or error}") from error
     put_files({PICTURE: error_picture(height_map, found.heights.error_um)}, output)
     return where | found.figures, output / PICTURE
 

@@ -95,6 +95,8 @@ def encode_run(result: Result) -> dict[str, bytes]:
 def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
     """Write files into a folder: all under temporary names first, then each renamed into place.
 
+    The folder is made where it does not exist.
+
     Raises
     ------
     BadInputError
@@ -102,6 +104,7 @@ def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
     """
     path = Path(folder)
     try:
+        path.mkdir(parents=True, exist_ok=True)
         partial = _make_partial(path)
         try:
             for name, content in files.items():

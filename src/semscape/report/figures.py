@@ -53,13 +53,14 @@ def _style() -> Iterator[None]:
         yield
 
 
-def _png(size_in: tuple[float, float], draw: Callable[[Figure], None]) -> bytes:
+def drawn_png(size_in: tuple[float, float], draw: Callable[[Figure], None], dpi: int = _DPI) -> bytes:
+    """Return the PNG of a figure that `draw` fills, in the report's style: grey ink on a transparent ground."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     with _style():
-        figure = Figure(figsize=size_in, dpi=_DPI, layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02))
+        figure = Figure(figsize=size_in, dpi=dpi, layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02))
         FigureCanvasAgg(figure)
         draw(figure)
         buffer = io.BytesIO()
@@ -151,7 +152,7 @@ def pair_picture(result: Result) -> bytes | None:
         bar.set_label("Parallax (px)")
         bar.outline.set_visible(False)
 
-    return _png((10.0, min(7.0, 4.5 * height / width + 0.1)), draw)
+    return drawn_png((10.0, min(7.0, 4.5 * height / width + 0.1)), draw)
 
 
 def tilt_picture(reconstruction: Reconstruction, names: tuple[str, ...], prior_sigma_deg: float) -> bytes:
@@ -193,7 +194,7 @@ def tilt_picture(reconstruction: Reconstruction, names: tuple[str, ...], prior_s
         if has_prior:
             left.legend(loc="upper right", fontsize=8)
 
-    return _png((10.0, 1.1 + 0.32 * len(names)), draw)
+    return drawn_png((10.0, 1.1 + 0.32 * len(names)), draw)
 
 
 def best_geometry(result: Result) -> TwoViewGeometry | None:
@@ -249,7 +250,7 @@ def _map_picture(
     height = (0.9 * width if half else 0.82 * width) * rows / columns + (
         0.45 if not half else 1.0 if bar_label else 0.4
     )
-    return _png((width, float(np.clip(height, 2.0, 9.0))), draw)
+    return drawn_png((width, float(np.clip(height, 2.0, 9.0))), draw)
 
 
 def _limits(values: FloatArray, percent: float) -> tuple[float, float]:
