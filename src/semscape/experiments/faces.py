@@ -106,9 +106,9 @@ def run(setting: Setting) -> Experiment:
         question=(
             "How far do rotation and shape depend on the number of views, the tilt step and the method? Series of "
             f"faces ({', '.join(faces)}) under the simulated microscope, preset nominal, {size} x {size} px, stage "
-            "tilts known to 0.1 deg; each compared with its exact truth. Rotation error: rms geodesic angle of the rotations "
-            "relative to the reference view. Heights: after taking out the lean that no image can tell, no scale "
-            "fitted. SGBM is OpenCV's StereoSGBM on the widest pair up to 30 deg, with semscape's calibration."
+            "tilts known to 0.1 deg; each compared with its exact truth. Rotation error: rms geodesic angle of the "
+            "rotations relative to the reference view. Heights: after taking out the lean that no image can tell, no "
+            "scale fitted. SGBM is OpenCV's StereoSGBM on the widest pair up to 30 deg, with semscape's calibration."
         ),
         thesis="section 3.8: shape and rotation error on synthetic Face models; not published here",
         tables=(

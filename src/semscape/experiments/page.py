@@ -24,6 +24,8 @@ from semscape.report.wording import number
 
 FILES = "experiments"
 NOT_PUBLISHED = "not published here"
+# Nobody reads more rows on a page: they are folded away, or left to the CSV.
+_LONGEST_TABLE = 30
 
 
 def write_experiments(experiments: Sequence[Experiment], setting: Setting, folder: Path | str) -> Path:
@@ -88,10 +90,12 @@ def render_markdown(experiments: Sequence[Experiment], setting: Setting) -> str:
         blocks += [f"## {item.title}", item.question, f"**In the thesis:** {item.thesis or NOT_PUBLISHED}"]
         for one in item.tables:
             cells = [[_cell(value) for value in row] for row in one.rows]
-            blocks += [f"**{one.title}**", _markdown_table(one.columns, cells), one.note]
-        for shown in item.figures:
-            path = f"{FILES}/{_file(item, shown.name, 'png')}"
-            blocks += [f"![{shown.alt}]({path})", f"*{shown.title}.* {shown.alt}"]
+            long = f"[{len(cells)} rows as CSV]({FILES}/{_file(item, one.name, 'csv')})"
+            shown = long if len(cells) > _LONGEST_TABLE else _markdown_table(one.columns, cells)
+            blocks += [f"**{one.title}**", shown, one.note]
+        for drawn in item.figures:
+            path = f"{FILES}/{_file(item, drawn.name, 'png')}"
+            blocks += [f"![{drawn.alt}]({path})", f"*{drawn.title}.* {drawn.alt}"]
         blocks.append("\n".join(f"- {note}" for note in item.notes))
     return "\n\n".join(block for block in blocks if block) + "\n"
 
@@ -113,7 +117,10 @@ def render_page(experiments: Sequence[Experiment], setting: Setting) -> str:
         ]
         for one in item.tables:
             rows = [[_cell(value) for value in row] for row in one.rows]
-            parts += [f"<h3>{escape(one.title)}</h3>", table(one.columns, rows)]
+            cells = table(one.columns, rows)
+            if len(rows) > _LONGEST_TABLE:
+                cells = f"<details><summary>{len(rows)} rows</summary>{cells}</details>"
+            parts += [f"<h3>{escape(one.title)}</h3>", cells]
             parts += [f'<p class="quiet">{escape(plus_minus(one.note))}</p>'] if one.note else []
         parts += [f'<div class="wide">{figure(shown.png, shown.title, shown.alt)}</div>' for shown in item.figures]
         if item.notes:
