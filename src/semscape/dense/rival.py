@@ -53,7 +53,7 @@ def sgbm_height_map(result: Result) -> HeightMap:
     low, high = (height * baseline for height in height_range_px(reconstruction, frame))
     least = int(np.floor(-high)) - _MARGIN_PX
     count = int(np.ceil((high - low + 2 * _MARGIN_PX) / _SUBPIXEL_STEPS)) * _SUBPIXEL_STEPS
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM.create(
         minDisparity=least,
         numDisparities=count,
         blockSize=_BLOCK_PX,

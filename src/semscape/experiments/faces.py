@@ -30,15 +30,17 @@ _SIZE_PX, _QUICK_SIZE_PX = 384, 192
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a method gives: heights, the views they come from, and the view whose grid they have."""
+    """What a method gives: heights, the views they come from, the one whose grid they have, and the views' names."""
 
     height_map: HeightMap
     motion: Motion
     reference: int
+    names: tuple[str, ...]
 
 
 def _default(ours: Result) -> Outcome:
-    return Outcome(ours.height_map, ours.reconstruction.motion, ours.reconstruction.reference)
+    found = ours.reconstruction
+    return Outcome(ours.height_map, found.motion, found.reference, ours.series.names)
 
 
 def _sgbm(ours: Result) -> Outcome:
@@ -96,7 +98,7 @@ def run(setting: Setting) -> Experiment:
                     outcome.height_map,
                     outcome.motion,
                     outcome.reference,
-                    truth,
+                    truth.select(tuple(series.names.index(name) for name in outcome.names)),
                     alignments=("rigid", "similarity"),
                 ).figures
                 rows.append((face, views, step_deg, method, *_figures(found)))

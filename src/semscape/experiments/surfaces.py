@@ -126,6 +126,7 @@ def _simulated(setting: Setting, notes: list[str]) -> tuple[list[tuple[Any, ...]
             notes.append(f"{specimen}: no result; {error}")
             rows.append((specimen, *[None] * 9))
             continue
+        truth = truth.select(tuple(series.names.index(name) for name in result.series.names))
         cameras = result.reconstruction.motion, result.reconstruction.reference
         found = evaluate(result.height_map, *cameras, truth, mesh=result.mesh, alignments=("rigid",)).figures
         heights = found["heights"]

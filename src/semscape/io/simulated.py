@@ -19,7 +19,6 @@ import os
 import re
 import shutil
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -145,21 +144,7 @@ def truth_of_views(folder: Path | str, names: tuple[str, ...]) -> SimulationTrut
             f"the result's view {foreign[0]!r} is not one of the series whose truth {folder} holds "
             f"({known[0]} ... {known[-1]}); give the folder that was reconstructed"
         )
-    at = np.array([known.index(name) for name in names])
-    motion = truth.motion
-    return replace(
-        truth,
-        motion=replace(
-            motion,
-            tilt_rad=motion.tilt_rad[at],
-            roll_rad=motion.roll_rad[at],
-            scale_px_per_um=motion.scale_px_per_um[at],
-            anisotropy=motion.anisotropy[at],
-            translation_px=motion.translation_px[at],
-        ),
-        stage_tilt_rad=truth.stage_tilt_rad[at],
-        visible=truth.visible[at],
-    )
+    return truth.select(tuple(known.index(name) for name in names))
 
 
 def _require_own(path: Path) -> None:
