@@ -201,10 +201,11 @@ def _figure(rows: list[tuple[Any, ...]]) -> Figure:
                         axes.plot(x, y, marker=markers[face], color=colour, linewidth=1, markersize=4, label=label)
                 axes.grid(color=INK, alpha=0.25, linewidth=0.5)
                 axes.spines[["top", "right"]].set_visible(False)
-                axes.set_ylim(bottom=0)
             panels[1][column].set_xlabel(
                 f"views, steps of {_USUAL_STEP_DEG:g} deg" if varies == "views" else f"step (deg), {_USUAL_VIEWS} views"
             )
+        panels[0][0].set_ylim(bottom=0)
+        panels[1][0].set_yscale("log")
         panels[0][0].set_ylabel("rotation error (deg)")
         panels[1][0].set_ylabel("height rmse (% of relief)")
         figure.legend(loc="outside lower center", ncols=2, fontsize=8)

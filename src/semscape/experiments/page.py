@@ -83,7 +83,7 @@ def experiments_to_dict(experiments: Sequence[Experiment], setting: Setting) -> 
 def render_markdown(experiments: Sequence[Experiment], setting: Setting) -> str:
     """Return the page as Markdown; its figures are embedded by their path relative to it."""
     blocks = ["# Experiments", f"<!-- Written by `{_command(experiments)}`; every number comes from there. -->"]
-    blocks += _introduction(experiments, setting)
+    blocks += _introduction(experiments, setting, quote="`")
     if len(experiments) > 1:
         blocks.append(_markdown_table(("experiment", "in the thesis"), _overview(experiments)))
     for item in experiments:
@@ -129,10 +129,10 @@ def render_page(experiments: Sequence[Experiment], setting: Setting) -> str:
     return page("Experiments · semscape", sections)
 
 
-def _introduction(experiments: Sequence[Experiment], setting: Setting) -> list[str]:
+def _introduction(experiments: Sequence[Experiment], setting: Setting, quote: str = "") -> list[str]:
     told = (
-        f"Written by `{_command(experiments)}` of semscape {__version__}, seed {setting.seed}; the same command gives "
-        "the same numbers, but for times. "
+        f"Written by {quote}{_command(experiments)}{quote} of semscape {__version__}, seed {setting.seed}; the same "
+        "command gives the same numbers, but for times. "
         + ("With measured sets." if setting.data is not None else "Without measured sets.")
     )
     hasty = "A quick run, to see that it works: small images and few cases. Its figures are not those of the method."

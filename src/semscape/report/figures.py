@@ -25,6 +25,7 @@ INK = "#808a96"
 ACCENT = "#2f81d6"
 WARM = "#e0812b"
 NO_DATA = (0.35, 0.55, 0.80, 0.22)
+GREY_NO_DATA = (0.5, 0.5, 0.5, 0.45)  # beside colours that are bluish themselves
 _DPI = 150
 _LONGEST_SIDE_PX = 1100
 
@@ -104,13 +105,17 @@ def hillshade_picture(height_map: HeightMap) -> bytes:
 
 
 def error_picture(height_map: HeightMap, error_um: FloatArray) -> bytes:
-    """Return the map of signed height errors (H, W) in the map's unit, blue too low and red too high, with its bar."""
+    """Return the map of signed height errors (H, W) in the map's unit, blue too low and red too high, with its bar.
+
+    Grey is unknown.
+    """
     sign = UNIT_SIGNS[height_map.length_unit]
     known = np.abs(error_um[np.isfinite(error_um)])
     # Symmetric, so that white is no error; false heights shall not wash out the rest.
     largest = max(float(np.percentile(known, 98)), 1e-12) if known.size else 1.0
     limits = -largest, largest
-    return _map_picture(height_map, error_um, "RdBu_r", f"Height error, found − true ({sign})", limits=limits)
+    label = f"Height error, found − true ({sign})"
+    return _map_picture(height_map, error_um, "RdBu_r", label, limits=limits, no_data=GREY_NO_DATA)
 
 
 def pair_picture(result: Result) -> bytes | None:
@@ -225,6 +230,7 @@ def _map_picture(
     bar_label: str | None,
     limits: tuple[float, float] | None = None,
     half: bool = False,
+    no_data: tuple[float, float, float, float] = NO_DATA,
 ) -> bytes:
     """Return a map over the grid of a height map, of the page's or half the page's width.
 
@@ -240,7 +246,7 @@ def _map_picture(
 
     def draw(figure: Figure) -> None:
         axes: Axes = figure.add_subplot()
-        axes.set_facecolor(NO_DATA)
+        axes.set_facecolor(no_data)
         picture = axes.imshow(
             np.ma.masked_invalid(small),
             cmap=colours,
