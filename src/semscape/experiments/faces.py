@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from itertools import cycle, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -178,32 +179,32 @@ def _pivot(rows: list[tuple[Any, ...]], method: str) -> Table:
 def _figure(rows: list[tuple[Any, ...]]) -> Figure:
     faces = list(dict.fromkeys(row[0] for row in rows))
     colours = dict(zip(METHODS, (ACCENT, WARM, INK), strict=False))
-    markers = dict(zip(faces, "osD^vP*X", strict=False))
 
     def draw(figure: Drawing) -> None:
         panels = figure.subplots(2, 2, sharey="row", sharex="col")
-        varied = (("views", 1, "step", _USUAL_STEP_DEG), ("step", 2, "views", _USUAL_VIEWS))
-        for column, (varies, at, held, value) in enumerate(varied):
+        varied: tuple[tuple[str, dict[str, float], str], ...] = (
+            ("views", {"step": _USUAL_STEP_DEG}, f"views, steps of {_USUAL_STEP_DEG:g} deg"),
+            ("step (deg)", {"views": _USUAL_VIEWS}, f"step (deg), {_USUAL_VIEWS} views"),
+        )
+        for column, (along, held, label) in enumerate(varied):
+            panels[1][column].set_xlabel(label)
             for row, quantity in enumerate(("rotation error (deg)", "height rmse (% of relief)")):
                 axes = panels[row][column]
-                for face in faces:
-                    for method, colour in colours.items():
-                        if row == 0 and method == "OpenCV SGBM":
-                            continue  # it has no cameras of its own
-                        x = [
-                            line[at]
-                            for line in rows
-                            if line[0] == face and line[3] == method and _held(line, held, value)
-                        ]
-                        y = _selected(rows, quantity, face=face, method=method, **{held: value})
-                        y = [np.nan if item is None else item for item in y]
-                        label = f"{face}, {method}" if row == 1 and column == 0 else None
-                        axes.plot(x, y, marker=markers[face], color=colour, linewidth=1, markersize=4, label=label)
+                for (face, marker), method in product(zip(faces, cycle("osD^vP*X"), strict=False), METHODS):
+                    if row == 0 and method == "OpenCV SGBM":
+                        continue  # it has no cameras of its own
+                    where: dict[str, Any] = {**held, "face": face, "method": method}
+                    y = [np.nan if value is None else value for value in _selected(rows, quantity, **where)]
+                    name = f"{face}, {method}" if (row, column) == (1, 0) else None
+                    style: dict[str, Any] = {
+                        "marker": marker,
+                        "color": colours[method],
+                        "linewidth": 1,
+                        "markersize": 4,
+                    }
+                    axes.plot(_selected(rows, along, **where), y, label=name, **style)
                 axes.grid(color=INK, alpha=0.25, linewidth=0.5)
                 axes.spines[["top", "right"]].set_visible(False)
-            panels[1][column].set_xlabel(
-                f"views, steps of {_USUAL_STEP_DEG:g} deg" if varies == "views" else f"step (deg), {_USUAL_VIEWS} views"
-            )
         panels[0][0].set_ylim(bottom=0)
         panels[1][0].set_yscale("log")
         panels[0][0].set_ylabel("rotation error (deg)")
@@ -219,7 +220,3 @@ def _figure(rows: list[tuple[Any, ...]]) -> Figure:
             "face and method."
         ),
     )
-
-
-def _held(line: tuple[Any, ...], key: str, value: float) -> bool:
-    return bool(line[{"views": 1, "step": 2}[key]] == value)
