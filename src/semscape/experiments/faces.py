@@ -77,7 +77,11 @@ _COLUMNS = (
 def run(setting: Setting) -> Experiment:
     """Take series of every face, reconstruct them with every method, and compare with the truth."""
     faces = find_faces(setting.data)
-    notes = [] if len(faces) > 1 else ["The scanned heads were not there (--data DIR with a folder meshes): left out."]
+    notes = [
+        "One series per case: single figures scatter with the draw of the stage's errors, which bound the rotations."
+    ]
+    if len(faces) == 1:
+        notes.append("The scanned heads were not there (--data DIR with a folder meshes): left out.")
     rows: list[tuple[Any, ...]] = []
     for face, path in faces.items():
         for views, step_deg in _cases(face, quick=setting.quick):
@@ -207,6 +211,8 @@ def _figure(rows: list[tuple[Any, ...]]) -> Figure:
                 axes.spines[["top", "right"]].set_visible(False)
         panels[0][0].set_ylim(bottom=0)
         panels[1][0].set_yscale("log")
+        panels[1][0].yaxis.set_major_formatter("{x:g}")
+        panels[1][0].yaxis.set_minor_formatter("{x:g}")
         panels[0][0].set_ylabel("rotation error (deg)")
         panels[1][0].set_ylabel("height rmse (% of relief)")
         figure.legend(loc="outside lower center", ncols=2, fontsize=8)
