@@ -77,9 +77,7 @@ _COLUMNS = (
 def run(setting: Setting) -> Experiment:
     """Take series of every face, reconstruct them with every method, and compare with the truth."""
     faces = find_faces(setting.data)
-    notes = [
-        "One series per case: single figures scatter with the draw of the stage's errors, which bound the rotations."
-    ]
+    notes = ["One series per case: single figures scatter with the draw of the stage errors."]
     if len(faces) == 1:
         notes.append("The scanned heads were not there (--data DIR with a folder meshes): left out.")
     rows: list[tuple[Any, ...]] = []
