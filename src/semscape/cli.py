@@ -210,6 +210,52 @@ def simulate(
             typer.echo(f"{series.n_views} views in {output}; try: semscape reconstruct {output} -o {output}-run")
 
 
+@app.command(short_help="Compare a run with the truth of its simulated series.")
+def evaluate(
+    run: Annotated[Path, typer.Argument(help="Run folder.", metavar="RUN")],
+    truth: Annotated[
+        Path, typer.Option("--truth", help="Folder of the simulated series, or a mesh in um.", metavar="PATH")
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for the picture; RUN if left out.", metavar="FOLDER")
+    ] = None,
+    debug: DebugOption = False,
+) -> None:
+    """Print the errors of a run against the truth as JSON, and draw the signed height errors."""
+    with _exit_codes(debug=debug, quiet=False):
+        from semscape.experiments.run_against_truth import evaluate_run
+        from semscape.io.run_folder import json_text
+
+        figures, picture = evaluate_run(run, truth, run if output is None else output)
+        typer.echo(json_text(figures), nl=False)
+        if picture is not None:
+            typer.echo(f"picture: {picture}", err=True)
+
+
+@app.command(short_help="Run the experiments of the thesis.")
+def experiments(
+    name: Annotated[str, typer.Argument(help="An experiment, or all.", metavar="NAME|all")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the page.", metavar="OUT")],
+    seed: SeedOption = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder with measured sets (tilt_series, meshes).", metavar="DIR")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Small and few, to see that it works.")] = False,
+    workers: WorkersOption = None,
+    debug: DebugOption = False,
+) -> None:
+    """Run experiments and write experiments.html, .md and .json with a CSV per table and a PNG per figure."""
+    with _exit_codes(debug=debug, quiet=False):
+        from semscape.experiments.page import write_experiments
+        from semscape.experiments.registry import run_experiments
+        from semscape.experiments.study import Setting
+
+        given = {} if seed is None else {"seed": seed}
+        setting = Setting(data=data, workers=workers, quick=quick, **given)
+        done = run_experiments(name, setting, progress=lambda text: typer.echo(text, err=True))
+        typer.echo(f"page: {write_experiments(done, setting, output)}")
+
+
 @app.command(short_help="Simulate, reconstruct, and say where the report is.")
 def demo(
     output: Annotated[

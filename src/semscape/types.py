@@ -297,6 +297,19 @@ class SimulationTruth(_Value):
     seed: int
     settings: Mapping[str, Any] = field(default_factory=dict)
 
+    def select(self, indices: tuple[int, ...]) -> SimulationTruth:
+        """Return the truth of the views `indices`, in that order; the surface is the same."""
+        at = list(indices)
+        motion = replace(
+            self.motion,
+            tilt_rad=self.motion.tilt_rad[at],
+            roll_rad=self.motion.roll_rad[at],
+            scale_px_per_um=self.motion.scale_px_per_um[at],
+            anisotropy=self.motion.anisotropy[at],
+            translation_px=self.motion.translation_px[at],
+        )
+        return replace(self, motion=motion, stage_tilt_rad=self.stage_tilt_rad[at], visible=self.visible[at])
+
 
 @dataclass(frozen=True, eq=False)
 class StageReport(_Value):
