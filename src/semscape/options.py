@@ -62,7 +62,10 @@ _RANGES = {
     "run.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
-_CHOICES = {"features.detector": ["sift"]}
+_CHOICES = {
+    "features.detector": ["sift"],
+    "robust.model": ["affine", "fundamental", "homography", "essential", "auto"],
+}
 
 
 class _Stage:
@@ -98,9 +101,10 @@ class FeaturesOptions(_Stage):
 
 @dataclass(frozen=True)
 class RobustOptions(_Stage):
-    """A contrario RANSAC per pair: largest number of trials, and the least number of inliers to keep a pair."""
+    """A contrario RANSAC per pair: the model, most trials, and the least number of inliers to keep a pair."""
 
-    max_trials: int = 2000
+    model: str = "affine"
+    max_trials: int = 10_000
     min_inliers: int = 24
 
 
