@@ -57,8 +57,10 @@ def is_planar(w: FloatArray) -> bool:
     --------
     >>> x, y = np.divmod(np.arange(64.0), 8)
     >>> relief, noise = (x * y) % 7, (x * y) % 3 / 50
-    >>> is_planar(np.column_stack([x, y, x + noise, y + (x + y) % 4 / 60])), is_planar(np.column_stack([x, y, x + relief, y + noise]))
-    (True, False)
+    >>> is_planar(np.column_stack([x, y, x + noise, y + (x + y) % 4 / 60]))
+    True
+    >>> is_planar(np.column_stack([x, y, x + relief, y + noise]))
+    False
     """
     kept = np.ones(len(w), dtype=bool)
     for _ in range(_TRIMMINGS):
