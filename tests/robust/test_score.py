@@ -29,7 +29,7 @@ def test_the_histogram_bounds_the_exact_nfa_closely(model: Model) -> None:
     evidence.of_models(matrices, count, np.inf, values, thresholds)
     for trial in range(300):
         for s in range(count[trial]):
-            residual = model.residuals_px(matrices[trial, s], matches.w, matches.frame)
+            residual = model.residuals_px(matrices[trial, s], matches.points, matches.frame)
             exact, _ = least_nfa(residual, evidence.table, evidence.log_alpha0, model.sample_size, model.dimension)
             # The rounding of single precision may put a residual into the bin beside its own.
             assert exact - 0.5 <= values[trial, s] <= exact + 3 + 0.03 * abs(exact)

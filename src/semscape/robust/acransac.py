@@ -93,9 +93,9 @@ def ac_ransac(
         failure_probability=failure_probability,
         workers=workers,
     )
-    residual = model.residuals_px(best.matrix, matches.w, matches.frame)
+    residual = model.residuals_px(best.matrix, matches.points, matches.frame)
     log10_nfa, threshold = least_nfa(residual, evidence.table, evidence.log_alpha0, model.sample_size, model.dimension)
-    residual = model.residuals_px(best.matrix, matches.frame.normalized(x1, x2), matches.frame)
+    residual = model.residuals_px(best.matrix, matches.all_points, matches.frame)
     matrix = model.in_pixels(best.matrix, matches.frame)
     return RobustFit(model.kind, matrix, residual <= threshold, residual, threshold, log10_nfa, n_trials)
 
@@ -122,7 +122,7 @@ class _Evidence:
         return cls(
             model,
             unit,
-            np.ascontiguousarray(matches.w.T, dtype=np.float32),
+            matches.points.astype(np.float32),
             log_alpha0,
             log10_combinations(n, model.sample_size, model.max_solutions),
             first_bin,

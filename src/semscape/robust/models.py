@@ -37,7 +37,11 @@ class Frame:
 
     def normalized(self, x1: FloatArray, x2: FloatArray) -> FloatArray:
         """Return matches (n, 4) in this frame."""
-        return np.hstack([(x1 - self.centre1) / self.unit_px, (x2 - self.centre2) / self.unit_px])
+        w = np.empty((len(x1), 4))
+        np.subtract(x1, self.centre1, out=w[:, :2])
+        np.subtract(x2, self.centre2, out=w[:, 2:])
+        w /= self.unit_px
+        return w
 
     @property
     def from_pixels(self) -> tuple[FloatArray, FloatArray]:
@@ -110,11 +114,10 @@ class Model:
         matrix = self.fit(np.hstack([_transformed(to_rays1, w[:, :2]), _transformed(to_rays2, w[:, 2:])]))
         return None if matrix is None else np.asarray(to_rays2.T @ matrix @ to_rays1)
 
-    def residuals_px(self, matrix: FloatArray, w: FloatArray, frame: Frame) -> FloatArray:
-        """Return the residual (n,) in px of each match (n, 4), in double precision."""
-        points = np.ascontiguousarray(w.T)
-        squared = np.empty(len(w))
-        squared_residuals(self.residual, np.ascontiguousarray(matrix), points, 0, len(w), squared)
+    def residuals_px(self, matrix: FloatArray, points: FloatArray, frame: Frame) -> FloatArray:
+        """Return the residual (n,) in px of matches whose coordinates are the rows of `points` (4, n)."""
+        squared = np.empty(points.shape[1])
+        squared_residuals(self.residual, np.ascontiguousarray(matrix), points, 0, len(squared), squared)
         return np.sqrt(squared) * frame.unit_px
 
     def in_pixels(self, matrix: FloatArray, frame: Frame) -> FloatArray:

@@ -64,7 +64,7 @@ def ransac(
     True
     """
     matches = distinct_matches(model, x1, x2, shapes, rng=rng)
-    points = np.ascontiguousarray(matches.w.T, dtype=np.float32)
+    points = matches.points.astype(np.float32)
     best, n_trials = search(
         model,
         matches,
@@ -74,7 +74,7 @@ def ransac(
         failure_probability=failure_probability,
         workers=workers,
     )
-    residual = model.residuals_px(best.matrix, matches.frame.normalized(x1, x2), matches.frame)
+    residual = model.residuals_px(best.matrix, matches.all_points, matches.frame)
     matrix = model.in_pixels(best.matrix, matches.frame)
     return RobustFit(model.kind, matrix, residual <= threshold_px, residual, threshold_px, math.nan, n_trials)
 

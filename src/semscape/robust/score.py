@@ -40,11 +40,11 @@ def log10_combinations(n: int, sample_size: int, max_solutions: int) -> FloatArr
     >>> float(10 ** log10_combinations(6, 4, 1)[5])  # (6 - 4) C(6, 5) C(5, 4)
     60.0
     """
-    k = np.arange(n + 1, dtype=np.float64)
+    log_factorial = gammaln(np.arange(1.0, n + 2))
+    big = log_factorial[sample_size + 1 :]
+    log_n_choose_k = log_factorial[n] - big - log_factorial[: n - sample_size][::-1]
+    log_k_choose_s = big - log_factorial[sample_size] - log_factorial[1 : n + 1 - sample_size]
     table = np.full(n + 1, np.inf)
-    big = k[sample_size + 1 :]
-    log_n_choose_k = gammaln(n + 1) - gammaln(big + 1) - gammaln(n - big + 1)
-    log_k_choose_s = gammaln(big + 1) - gammaln(sample_size + 1) - gammaln(big - sample_size + 1)
     outcomes = math.log(max_solutions * (n - sample_size))
     table[sample_size + 1 :] = (outcomes + log_n_choose_k + log_k_choose_s) / math.log(10)
     return table

@@ -71,9 +71,14 @@ class Candidate:
 
 @dataclass(frozen=True)
 class DistinctMatches:
-    """Matches that can be evidence: finite, each once, in random order, in the frame (n, 4)."""
+    """Matches in the frame: `w` (n, 4) those that can be evidence, finite, each once, in random order.
+
+    `points` (4, n) are the same, a coordinate a row; `all_points` (4, M) are the matches as they were given.
+    """
 
     w: FloatArray
+    points: FloatArray
+    all_points: FloatArray
     frame: Frame
 
 
@@ -95,19 +100,21 @@ def distinct_matches(
         raise ValueError(f"matches are two (M, 2) arrays, got {x1.shape} and {x2.shape}")
     frame = Frame.of(shapes)
     w = frame.normalized(x1, x2)
-    w = w[np.isfinite(w).all(axis=1)]
-    # Equal rows have equal keys, so they are neighbours in the order of the keys.
-    key = w[:, 0] * _IRRATIONAL[0] + w[:, 1] * _IRRATIONAL[1] + w[:, 2] * _IRRATIONAL[2] + w[:, 3] * _IRRATIONAL[3]
+    all_points = np.ascontiguousarray(w.T)
+    # Equal rows have equal keys, so they are neighbours in the order of the keys. What is not finite has none.
+    key = sum(factor * row for factor, row in zip(_IRRATIONAL, all_points, strict=True))
     order = np.argsort(key, kind="stable")
-    first = np.ones(len(w), dtype=bool)
-    first[order[1:]] = (w[order[1:]] != w[order[:-1]]).any(axis=1)
-    distinct = w[first]
+    order = order[np.isfinite(key[order])]
+    alike = np.flatnonzero(key[order[1:]] == key[order[:-1]])
+    repeated = alike[(w[order[alike]] == w[order[alike + 1]]).all(axis=1)] + 1
+    distinct = np.sort(np.delete(order, repeated))
     if len(distinct) <= model.sample_size:
         raise TooFewMatchesError(
             f"{len(x1)} matches, {len(distinct)} of them distinct and finite: a model of kind {model.kind!r} needs at "
             f"least {model.sample_size + 1}"
         )
-    return DistinctMatches(distinct[rng.permutation(len(distinct))], frame)
+    w = w.take(distinct[rng.permutation(len(distinct))], axis=0)
+    return DistinctMatches(w, np.ascontiguousarray(w.T), all_points, frame)
 
 
 def search(
@@ -158,7 +165,7 @@ def search(
 
 
 def _residuals(model: Model, matches: DistinctMatches, candidate: Candidate) -> FloatArray:
-    return model.residuals_px(candidate.matrix, matches.w, matches.frame)
+    return model.residuals_px(candidate.matrix, matches.points, matches.frame)
 
 
 def _best_of(
@@ -208,7 +215,7 @@ def _refined(
 
 def _fitted(model: Model, matches: DistinctMatches, score: Score, candidate: Candidate, chosen: BoolArray) -> Candidate:
     """Return the least-squares model of the chosen matches where it is better, else the candidate itself."""
-    matrix = model.fit_matches(matches.w[chosen], matches.frame)
+    matrix = model.fit_matches(matches.w.take(np.flatnonzero(chosen), axis=0), matches.frame)
     if matrix is None:
         return candidate
     value, threshold = np.empty((1, 1)), np.empty((1, 1))
