@@ -101,9 +101,13 @@ class FeaturesOptions(_Stage):
 
 @dataclass(frozen=True)
 class RobustOptions(_Stage):
-    """A contrario RANSAC per pair: the model, most trials, and the least number of inliers to keep a pair."""
+    """A contrario RANSAC per pair: the model, most trials, and the least number of inliers to keep a pair.
+
+    `limit_parallax` drops inliers of the affine model that stand far out of the relief of the others.
+    """
 
     model: str = "affine"
+    limit_parallax: bool = False
     max_trials: int = 10_000
     min_inliers: int = 24
 

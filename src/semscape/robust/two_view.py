@@ -10,6 +10,7 @@ from semscape.errors import BadInputError, TooFewMatchesError
 from semscape.robust.acransac import ac_ransac
 from semscape.robust.affine_epipolar import is_planar
 from semscape.robust.models import AFFINE, FUNDAMENTAL, HOMOGRAPHY, Model, Shape, essential
+from semscape.robust.parallax import limit_parallax
 from semscape.robust.search import RobustFit
 from semscape.types import FloatArray, TiltSeries, TwoViewGeometry
 
@@ -26,6 +27,7 @@ def two_view_geometry(
     rng: np.random.Generator,
     max_trials: int,
     calibrations: tuple[FloatArray, FloatArray] | None = None,
+    parallax_limited: bool = False,
 ) -> TwoViewGeometry:
     """Estimate the geometry of a pair of views from its putative matches.
 
@@ -46,6 +48,8 @@ def two_view_geometry(
         Largest number of samples, for each model.
     calibrations : ((3, 3), (3, 3)) float arrays, optional
         Of the two cameras in px; "essential" needs them, "auto" tries it where they are given.
+    parallax_limited : bool
+        Drop inliers of the affine model by their parallax, see `semscape.robust.parallax`.
 
     Returns
     -------
@@ -80,6 +84,8 @@ def two_view_geometry(
     if not fits:
         raise problems[0]
     best = min(fits.values(), key=lambda fit: fit.log10_nfa)
+    if parallax_limited and best.kind == "affine":
+        best = limit_parallax(best, x1, x2, shapes)
     inliers = np.hstack([x1, x2])[best.inliers]
     return TwoViewGeometry(
         pair,
@@ -90,7 +96,7 @@ def two_view_geometry(
         best.threshold_px,
         best.log10_nfa,
         best.n_trials,
-        {name: fit.log10_nfa for name, fit in fits.items()},
+        {name: fit.log10_nfa for name, fit in fits.items()} | {best.kind: best.log10_nfa},
         len(inliers) >= _LEAST_FOR_PLANE and is_planar(inliers),
     )
 

@@ -46,6 +46,7 @@ def match_pair(
         xy1,
         xy2,
         kind=robust.model,
+        parallax_limited=robust.limit_parallax,
         shapes=(shape, shape),
         rng=rng,
         max_trials=robust.max_trials,
