@@ -38,7 +38,7 @@ def measure(outlier_share: float) -> dict[str, Any]:
     from semscape.robust.models import AFFINE, FUNDAMENTAL, HOMOGRAPHY, Model
 
     cv2.setNumThreads(1)
-    pair = synthetic_pair(_N_MATCHES, outlier_share, 0.5, np.random.default_rng(0))
+    pair = synthetic_pair(_N_MATCHES, outlier_share, 0.5, rng=np.random.default_rng(0))
     x1, x2 = pair.x1, pair.x2
 
     def ours(model: Model, **stop: float) -> np.ndarray:

@@ -54,7 +54,7 @@ def test_what_is_left_out_is_told(experiment: Experiment) -> None:
 
 
 def test_synthetic_matches_are_as_wrong_and_as_noisy_as_asked() -> None:
-    pair = synthetic_pair(4000, 0.75, 0.7, np.random.default_rng(0))
+    pair = synthetic_pair(4000, 0.75, 0.7, rng=np.random.default_rng(0))
     assert (~pair.right).sum() == 3000
     # The larger of the two distances: for rows of both images each is |y1 - y2|, whose deviation is sqrt(2) sigma.
     assert np.sqrt((pair.true_residual_px()[pair.right] ** 2).mean()) == pytest.approx(0.7 * np.sqrt(2), rel=0.05)

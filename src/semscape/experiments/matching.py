@@ -60,7 +60,7 @@ def _false_alarms(setting: Setting, mapper: Mapper) -> Table:
     def least_nfa(case: tuple[Model, int, int]) -> float:
         model, n, number = case
         rng = np.random.default_rng([setting.seed, 1, n, number])
-        x1, x2 = uniform_points(n, rng), uniform_points(n, rng)
+        x1, x2 = uniform_points(n, rng=rng), uniform_points(n, rng=rng)
         return ac_ransac(model, x1, x2, shapes=SHAPES, rng=rng, max_trials=_NOISE_TRIALS).log10_nfa
 
     rows = []
@@ -89,7 +89,7 @@ def _precision_and_recall(setting: Setting, mapper: Mapper) -> tuple[Table, Tabl
     def one_run(case: tuple[float, float, int]) -> list[float]:
         sigma, share, number = case
         rng = np.random.default_rng([setting.seed, 2, round(1000 * sigma), round(1000 * share), number])
-        pair = synthetic_pair(_N_MATCHES, share, sigma, rng)
+        pair = synthetic_pair(_N_MATCHES, share, sigma, rng=rng)
         common: dict[str, Any] = {"shapes": SHAPES, "rng": rng, "max_trials": _TRIALS}
         found = ac_ransac(AFFINE, pair.x1, pair.x2, **common)
         precision, recall = _judge(pair, found.inliers)

@@ -38,7 +38,7 @@ class SyntheticPair:
         return float(self.right[kept].mean())
 
 
-def synthetic_pair(n: int, outlier_share: float, sigma_px: float, rng: np.random.Generator) -> SyntheticPair:
+def synthetic_pair(n: int, outlier_share: float, sigma_px: float, *, rng: np.random.Generator) -> SyntheticPair:
     """Return n matches: points seen twice with noise in both images, and points that have nothing in common."""
     height, width = SHAPE
     x, y = rng.uniform(0, width, n), rng.uniform(0, height, n)
@@ -46,10 +46,10 @@ def synthetic_pair(n: int, outlier_share: float, sigma_px: float, rng: np.random
     x1 = np.column_stack([x + parallax, y]) + rng.normal(0, sigma_px, (n, 2))
     x2 = np.column_stack([x - parallax, y]) + rng.normal(0, sigma_px, (n, 2))
     right = np.arange(n) >= round(outlier_share * n)
-    x2[~right] = uniform_points(int((~right).sum()), rng)
+    x2[~right] = uniform_points(int((~right).sum()), rng=rng)
     return SyntheticPair(x1, x2, right)
 
 
-def uniform_points(n: int, rng: np.random.Generator) -> FloatArray:
+def uniform_points(n: int, *, rng: np.random.Generator) -> FloatArray:
     """Return points (n, 2) anywhere in the image."""
     return rng.uniform(0, 1, (n, 2)) * (SHAPE[1], SHAPE[0])
