@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/setup-done
 CODE := src tests benchmarks examples
 
-.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures clean
+.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures docs-experiments clean
 
 help:
 	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
@@ -17,6 +17,7 @@ help:
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
 	@echo "make benchmark      seconds per stage and peak memory, as JSON"
 	@echo "make docs-pictures  draw the pictures of docs/ again"
+	@echo "make docs-experiments  run every experiment and write docs/experiments.md"
 	@echo "make clean          remove .venv, caches and the demo"
 
 setup: $(STAMP)
@@ -54,6 +55,11 @@ benchmark: $(STAMP)
 
 docs-pictures: $(STAMP)
 	@$(BIN)/python benchmarks/docs_pictures.py
+
+# With the measured sets where they lie beside the repository, as in the tests.
+docs-experiments: $(STAMP)
+	@$(BIN)/semscape experiments all --output docs $(addprefix --data ,$(wildcard $(or $(SEMSCAPE_SHARED_DATA),../shared/data)))
+	@rm -f docs/experiments.html
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist demo

@@ -218,6 +218,20 @@ def test_inspect_speaks_json(images: Path) -> None:
     assert described["views"][0]["sources"]["pixel_size_um"] == "user"
 
 
+def test_inspect_writes_what_it_understood_once(images: Path) -> None:
+    assert run("inspect", images, "--write", "--pixel-size-um", 0.25).exit_code == 0
+    assert "# pixel_size_um = 0.25" in (images / "series.toml").read_text()
+    again = run("inspect", images, "--write")
+    assert again.exit_code == 2
+    assert "not overwritten" in again.stderr
+
+
+def test_a_scale_bar_that_is_not_there(images: Path) -> None:
+    done = run("inspect", images, "--scale-bar-um", 40)
+    assert done.exit_code == 2
+    assert "no scale bar" in done.stderr
+
+
 def test_inspect_names_files_that_may_be_images_without_a_suffix(images: Path) -> None:
     for name in ("notes.txt", "a.hdr", "truth.bin", ".hidden", "series.toml"):
         (images / name).touch()

@@ -26,7 +26,7 @@ from semscape.options import Options
 from semscape.report import report_to_dict
 from semscape.robust.acransac import ac_ransac
 from semscape.robust.models import AFFINE
-from semscape.robust.two_view import two_view_geometry
+from semscape.robust.pair_geometry import two_view_geometry
 from semscape.simulate import PRESETS, simulate
 from semscape.types import Keypoints, Motion
 from synthetic_result import make_result

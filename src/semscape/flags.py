@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from semscape.errors import BadInputError
-from semscape.options import Options, read_toml
+from semscape.options import MeasureOptions, Options, read_toml
 
 if TYPE_CHECKING:
+    from semscape.metrology.request import MeasureRequest
     from semscape.simulate import SimulationOptions
+    from semscape.types import HeightMap
 
 
 def effective_options(
@@ -22,6 +24,7 @@ def effective_options(
     axis_deg: float | None,
     seed: int | None,
     invert_relief: bool | None,
+    scale_bar_um: float | None = None,
 ) -> Options:
     """Return the options: defaults, then the file's, then --set, then the explicit flags."""
     options = Options()
@@ -37,6 +40,8 @@ def effective_options(
         values["input"]["tilts_deg"] = _numbers("--tilts", tilts)
     if pixel_size_um is not None:
         values["input"]["pixel_size_um"] = _positive("--pixel-size-um", pixel_size_um)
+    if scale_bar_um is not None:
+        values["input"]["scale_bar_um"] = _positive("--scale-bar-um", scale_bar_um)
     if axis_deg is not None:
         if not math.isfinite(axis_deg):
             raise BadInputError(f"--axis-deg must be an angle in deg, got {axis_deg}")
@@ -83,6 +88,28 @@ def simulation_options(
     if len(options.tilts_deg) < 2:
         raise BadInputError(f"a tilt series needs at least 2 views, got {len(options.tilts_deg)}")
     return options
+
+
+def measure_request(
+    height_map: HeightMap, places: dict[str, str | None], settings: dict[str, float | str | bool | None]
+) -> MeasureRequest:
+    """Return what `semscape measure` is asked for: places by flag, settings by option, None if not given."""
+    from semscape.metrology.request import MeasureRequest, parse_edges, parse_line, parse_region, parse_two_regions
+
+    parsers = {
+        "region": parse_region,
+        "profile": parse_line,
+        "edges": parse_edges,
+        "step": parse_two_regions,
+        "angle": parse_two_regions,
+        "distance": parse_line,
+    }
+    pixel_size, unit = height_map.pixel_size_um, height_map.length_unit
+    values: dict[str, Any] = {
+        name: parsers[name](f"--{name}", text, pixel_size, unit) for name, text in places.items() if text is not None
+    }
+    given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
+    return MeasureRequest(options=MeasureOptions(**given), **values)
 
 
 def _numbers(flag: str, text: str) -> tuple[float, ...]:

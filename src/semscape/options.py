@@ -63,7 +63,7 @@ _RANGES = {
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
 _CHOICES = {
-    "features.detector": ["sift"],
+    "features.detector": ["sift", "surf", "orb", "brief"],
     "robust.model": ["affine", "fundamental", "homography", "essential", "auto"],
 }
 
@@ -86,17 +86,24 @@ class InputOptions:
     tilts_deg: tuple[float, ...] = ()
     pixel_size_um: float = math.nan
     axis_deg: float = math.nan
+    scale_bar_um: float = math.nan
 
 
 @dataclass(frozen=True)
 class FeaturesOptions(_Stage):
-    """Keypoints: detector, contrast threshold after local normalization, and the matching rules."""
+    """Keypoints: detector, contrast threshold after local normalization, and the matching rules.
+
+    Where there are more than `max_keypoints`, the strongest are kept, or with `spread` those that are the
+    strongest within the largest radius about them. `guided` adds a second pass along the epipolar lines.
+    """
 
     detector: str = "sift"
     contrast_threshold: float = 0.01
     normalization_sigma_px: float = 16.0
     max_keypoints: int = 40_000
+    spread: bool = False
     ratio: float = 0.8
+    guided: bool = True
 
 
 @dataclass(frozen=True)
@@ -157,6 +164,23 @@ class DenseOptions(_Stage):
 class RunOptions(_Stage):
     """The seed from which every random stream of a run derives."""
 
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class MeasureOptions:
+    """`semscape measure`, no stage of a run: form to take off, filters, outliers, draws of the Monte Carlo.
+
+    Nesting indices are in um (px for a run without a pixel size); NaN means no filter, or outliers are kept.
+    """
+
+    level: str = "plane"
+    robust: bool = False
+    s_filter_um: float = math.nan
+    l_filter_um: float = math.nan
+    outlier_sigmas: float = math.nan
+    volume_level_um: float = 0.0
+    draws: int = 60
     seed: int = 0
 
 

@@ -19,7 +19,7 @@ from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
 from semscape.options import Options, RunOptions
 from semscape.report.summary import build_report, pair_figures
-from semscape.robust.two_view import pinhole_calibrations
+from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import calibrate
 from semscape.sfm.plausibility import require_tilts
 from semscape.sfm.tracks import build_tracks

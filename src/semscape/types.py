@@ -23,7 +23,7 @@ BoolArray = NDArray[np.bool_]
 LengthUnit = Literal["um", "px"]
 Ambiguity = Literal["none", "reflection", "bas_relief"]
 TiltSource = Literal["metadata", "user", "self-calibrated"]
-FieldSource = Literal["file", "sidecar", "user", "assumed"]
+FieldSource = Literal["file", "sidecar", "user", "assumed", "doubtful"]
 
 
 def _freeze_arrays(value: object) -> None:
@@ -46,8 +46,10 @@ class _Value:
 class SemMetadata(_Value):
     """What a file says about its acquisition; NaN where it says nothing.
 
-    `source` tells for each known field where its value came from; `raw` holds the vendor's own tags.
-    `data_bar_rows` is the height of the strip of text under the image, -1 where the file does not say.
+    `source` tells for each known field where its value came from, `origin` the very tag, like "tag 34118, AP_WD";
+    `raw` holds the vendor's own tags. `data_bar_rows` is the height of the strip of text under the image, -1 where
+    the file does not say. `tilt_correction_rad` is NaN where the correction was on by an angle that is not told;
+    `tilt_correction_axis_rad` is the direction, like the tilt axis', across which it stretches.
     """
 
     pixel_size_um: float = np.nan
@@ -59,9 +61,13 @@ class SemMetadata(_Value):
     magnification: float = np.nan
     scan_rotation_rad: float = np.nan
     tilt_correction_rad: float | None = None
+    tilt_correction_axis_rad: float = np.nan
+    dynamic_focus: bool = False
     data_bar_rows: int = -1
     vendor: str = "unknown"
+    model: str = ""
     source: Mapping[str, FieldSource] = field(default_factory=dict)
+    origin: Mapping[str, str] = field(default_factory=dict)
     raw: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -300,6 +306,19 @@ class SimulationTruth(_Value):
     world_from_grid: FloatArray
     seed: int
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def select(self, indices: tuple[int, ...]) -> SimulationTruth:
+        """Return the truth of the views `indices`, in that order; the surface is the same."""
+        at = list(indices)
+        motion = replace(
+            self.motion,
+            tilt_rad=self.motion.tilt_rad[at],
+            roll_rad=self.motion.roll_rad[at],
+            scale_px_per_um=self.motion.scale_px_per_um[at],
+            anisotropy=self.motion.anisotropy[at],
+            translation_px=self.motion.translation_px[at],
+        )
+        return replace(self, motion=motion, stage_tilt_rad=self.stage_tilt_rad[at], visible=self.visible[at])
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ import pytest
 
 from semscape.robust.acransac import ac_ransac
 from semscape.robust.models import AFFINE, FUNDAMENTAL
+from semscape.robust.pair_geometry import two_view_geometry
 from semscape.robust.parallax import limit_parallax
 from semscape.robust.search import RobustFit
-from semscape.robust.two_view import two_view_geometry
 from synthetic_pairs import SHAPES, pair_of_views
 
 

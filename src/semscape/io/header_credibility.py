@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from semscape.io.acquisition import MAX_TILT_DEG, GivenAcquisition
-from semscape.io.micrograph import FILE_KEY_PREFIX
+from semscape.io.jeol import stage_angles
+from semscape.io.metadata_fields import FILE_KEY_PREFIX, TILT_SIGN
 from semscape.types import FieldSource, SemMetadata
 
 _EQUAL_TILT_DEG = 0.05
@@ -31,38 +32,50 @@ def settle_metadata(
     given : GivenAcquisition
         What the user or the sidecar gives; it goes before the files.
     """
-    settled = list(metadata)
+    settled = [_overridden(view, given.fields.get(name, {})) for name, view in zip(names, metadata, strict=True)]
     warnings: list[str] = []
+    settled = _jeol_tilts(settled, warnings)
+    if not given.tilts_deg or not np.isfinite(given.tilts_deg).all():
+        settled = _credible_tilts(names, settled, given.tilts_deg, warnings)
     if given.tilts_deg:
         settled = [
-            _with(view, "tilt_rad", np.deg2rad(tilt), given.tilts_source)
+            _with(view, "tilt_rad", np.deg2rad(tilt), given.tilts_source) if np.isfinite(tilt) else view
             for view, tilt in zip(settled, given.tilts_deg, strict=True)
         ]
-    else:
-        settled = _credible_tilts(names, settled, warnings)
     if np.isfinite(given.pixel_size_um):
-        settled = [_with(view, "pixel_size_um", given.pixel_size_um, given.pixel_size_source) for view in settled]
-    else:
+        settled = [_with(view, "pixel_size_um", given.pixel_size_um, "user") for view in settled]
+    if any(view.source.get("pixel_size_um") not in {"user", "sidecar"} for view in settled):
         _warn_of_copied_header(settled, warnings)
         settled = _complete_pixel_sizes(names, settled, warnings)
     if np.isfinite(given.axis_deg):
         axis_rad = float(np.deg2rad(given.axis_deg))
         settled = [_with(view, "tilt_axis_angle_rad", axis_rad, given.axis_source) for view in settled]
-    _warn_of_scan_settings(names, settled, warnings)
+    _warn_of_differing_rotation(settled, warnings)
     return settled, warnings
 
 
+def _overridden(metadata: SemMetadata, values: Mapping[str, float]) -> SemMetadata:
+    for name, value in values.items():
+        metadata = _with(metadata, name, value, "sidecar")
+    return metadata
+
+
 def _with(metadata: SemMetadata, name: str, value: float, source: FieldSource) -> SemMetadata:
-    values: dict[str, Any] = {name: float(value), "source": {**metadata.source, name: source}}
+    kind = {"data_bar_rows": int, "dynamic_focus": bool}.get(name, float)
+    origin = {key: text for key, text in metadata.origin.items() if key != name}
+    values: dict[str, Any] = {name: kind(value), "source": {**metadata.source, name: source}, "origin": origin}
     return replace(metadata, **values)
 
 
 def _without_tilt(metadata: SemMetadata) -> SemMetadata:
     source = {name: origin for name, origin in metadata.source.items() if name != "tilt_rad"}
-    return replace(metadata, tilt_rad=np.nan, source=source)
+    origin = {name: text for name, text in metadata.origin.items() if name != "tilt_rad"}
+    return replace(metadata, tilt_rad=np.nan, source=source, origin=origin)
 
 
-def _credible_tilts(names: Sequence[str], metadata: list[SemMetadata], warnings: list[str]) -> list[SemMetadata]:
+def _credible_tilts(
+    names: Sequence[str], metadata: list[SemMetadata], given_deg: Sequence[float], warnings: list[str]
+) -> list[SemMetadata]:
     """Drop tilts out of range, and all tilts when they do not differ: no series, or a header that was copied."""
     settled = []
     for name, view in zip(names, metadata, strict=True):
@@ -80,10 +93,34 @@ def _credible_tilts(names: Sequence[str], metadata: list[SemMetadata], warnings:
             "the others; the tilts are taken as unknown: give them if you know them"
         )
         return [_without_tilt(view) for view in settled]
+    known |= np.isfinite(given_deg) if given_deg else False
     if 0 < np.count_nonzero(known) < len(names):
         missing = [name for name, is_known in zip(names, known, strict=True) if not is_known]
         warnings.append(f"no tilt is known for {', '.join(missing)}; it is estimated from the images")
     return settled
+
+
+def _jeol_tilts(metadata: list[SemMetadata], warnings: list[str]) -> list[SemMetadata]:
+    """Tell tilt from rotation where every view has both: in a tilt series only the tilt changes."""
+    angles = [stage_angles(view.raw) if view.vendor == "JEOL" else None for view in metadata]
+    if None in angles or all("tilt_rad" in view.source for view in metadata):
+        return metadata
+    readings = np.array(angles)
+    changing = np.flatnonzero(np.ptp(readings, axis=0) > _EQUAL_TILT_DEG)
+    if len(changing) != 1:
+        return metadata
+    tilts_deg = readings[:, changing[0]]
+    warnings.append(
+        f"of the two angles of the JEOL stage only one changes, from {tilts_deg.min():g} to {tilts_deg.max():g} deg: "
+        "it is taken as the tilt, with the sign of Zeiss and Thermo Fisher; if hills come out as pits, give the tilts "
+        "with the other sign"
+    )
+    told = [
+        _with(view, "tilt_rad", TILT_SIGN * np.deg2rad(tilt) + 0.0, "file")
+        for view, tilt in zip(metadata, tilts_deg, strict=True)
+    ]
+    origin = f"angle {changing[0] + 1} of $CM_STAGE_POS, which alone changes"
+    return [replace(view, origin={**view.origin, "tilt_rad": origin}) for view in told]
 
 
 def _vendor_raw(metadata: SemMetadata) -> dict[str, str]:
@@ -131,15 +168,7 @@ def _complete_pixel_sizes(names: Sequence[str], metadata: list[SemMetadata], war
     ]
 
 
-def _warn_of_scan_settings(names: Sequence[str], metadata: Sequence[SemMetadata], warnings: list[str]) -> None:
-    corrected = [
-        name for name, view in zip(names, metadata, strict=True) if view.tilt_correction_rad not in (None, 0.0)
-    ]
-    if corrected:
-        warnings.append(
-            f"tilt correction was on for {', '.join(corrected)}: those images are stretched across the tilt axis; "
-            "switch it off for tilt series"
-        )
+def _warn_of_differing_rotation(metadata: Sequence[SemMetadata], warnings: list[str]) -> None:
     rotations = np.rad2deg([view.scan_rotation_rad for view in metadata])
     known = np.isfinite(rotations)
     if known.any() and np.ptp(rotations[known]) > _EQUAL_ROTATION_DEG:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import math
 import struct
 import warnings
 from collections.abc import Iterator
@@ -16,14 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.errors import BadInputError
-from semscape.io import thermo_fisher, zeiss
+from semscape.io.plain_tags import PlainTags
+from semscape.io.vendors import VENDOR_TAGS
 from semscape.types import BoolArray, ImageArray
 
 IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp")
 MAX_PIXELS = 1_000_000_000
 
-_VENDOR_TAGS = (zeiss.TAG, *thermo_fisher.TAGS)
 _SOFTWARE_TAG = 305
+_ORIENTATION_TAG = 274
+_UPRIGHT = 1
+_UM_PER_RESOLUTION_UNIT = {2: 25_400.0, 3: 10_000.0}  # TIFF's inch and centimetre
 _COLOR_TOLERANCE = 0.06  # of the brightest value: JPEG's chroma, not a tint
 _MAX_COLORED_SHARE = 0.02  # of the pixels: coloured marks drawn over a grey image
 
@@ -39,7 +43,8 @@ class DecodedImage:
     file_format: str
     bits: int
     software: str = ""
-    vendor_texts: dict[int, str] = field(default_factory=dict)
+    vendor_tags: dict[int, bytes] = field(default_factory=dict)
+    plain: PlainTags = field(default_factory=PlainTags)
     warnings: list[str] = field(default_factory=list)
 
 
@@ -91,8 +96,8 @@ def _decoding(path: Path, file_format: str) -> Iterator[None]:
         ) from error
 
 
-def _require_credible_size(path: Path, width: int, height: int) -> None:
-    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+def _require_credible_size(path: Path, width: int, height: int, n_channels: int = 1) -> None:
+    if width < 1 or height < 1 or width * height * n_channels > MAX_PIXELS:
         raise BadInputError(
             f"{path}: its header claims {width} x {height} pixels; images between 1 pixel and "
             f"{MAX_PIXELS:,} pixels are read; the file is damaged, or must be cropped or binned first"
@@ -104,7 +109,7 @@ def _decode_tiff(path: Path, data: bytes) -> DecodedImage:
 
     with _decoding(path, "TIFF"), tifffile.TiffFile(io.BytesIO(data)) as tiff:
         page = tiff.pages.first
-        _require_credible_size(path, int(page.imagewidth), int(page.imagelength))
+        _require_credible_size(path, int(page.imagewidth), int(page.imagelength), int(page.samplesperpixel))
         if page.imagedepth != 1:
             raise BadInputError(f"{path}: the TIFF holds a volume of {page.imagedepth} slices, not a micrograph")
         _require_complete_tiff(path, page, len(data))
@@ -121,22 +126,56 @@ def _decode_tiff(path: Path, data: bytes) -> DecodedImage:
         notes = []
         if len(tiff.pages) > 1:
             notes.append(f"the TIFF holds {len(tiff.pages)} pages; the first one is used")
-        texts = {}
-        for code in _VENDOR_TAGS:
+        tags = {}
+        for code in VENDOR_TAGS:
             tag = page.tags.get(code)
             if tag is not None:
                 # The bytes as stored: tifffile's own parse of these tags drops what it does not know.
-                texts[code] = _decode_text(data[tag.valueoffset : tag.valueoffset + tag.valuebytecount])
+                tags[code] = data[tag.valueoffset : tag.valueoffset + tag.valuebytecount]
+        array = _upright(array, _tag_number(page, _ORIENTATION_TAG, _UPRIGHT), notes)
+        decoded = _to_decoded(path, array, int(np.max(page.bitspersample)), "TIFF", notes)
         software = page.tags.get(_SOFTWARE_TAG)
-        return _to_decoded(
-            path,
-            array,
-            bits=int(np.max(page.bitspersample)),
-            file_format="TIFF",
-            software=str(software.value) if software is not None else "",
-            vendor_texts=texts,
-            notes=notes,
+        decoded.software = str(software.value).strip("\0 ") if software is not None else ""
+        decoded.vendor_tags = tags
+        decoded.plain = PlainTags(
+            description=str(page.description),
+            px_per_unit_x=_ratio(page, "XResolution"),
+            px_per_unit_y=_ratio(page, "YResolution"),
+            resolution_unit_um=_UM_PER_RESOLUTION_UNIT.get(_tag_number(page, "ResolutionUnit", 1), math.nan),
         )
+        return decoded
+
+
+def _tag_number(page: Any, tag: int | str, default: int) -> int:
+    found = page.tags.get(tag)
+    try:
+        return default if found is None else int(found.value)
+    except (TypeError, ValueError):
+        return default
+
+
+def _ratio(page: Any, tag: str) -> float:
+    found = page.tags.get(tag)
+    try:
+        numerator, denominator = found.value
+        return float(numerator) / float(denominator)
+    except (AttributeError, TypeError, ValueError, ZeroDivisionError):
+        return 0.0
+
+
+def _upright(array: NDArray[Any], orientation: int, notes: list[str]) -> NDArray[Any]:
+    """Return the image as its orientation tag (TIFF 6.0, EXIF) says that it is to be seen."""
+    if not _UPRIGHT < orientation <= 8:
+        return array
+    if orientation > 4:
+        array = np.swapaxes(array, 0, 1)  # rows and columns change places
+    flip_rows = orientation in {3, 4, 7, 8}
+    flip_columns = orientation in {2, 3, 6, 7}
+    notes.append(
+        f"its orientation tag ({orientation}) says that it is stored turned or mirrored; it is used as it is to be "
+        "seen, and where the tag was set after the scan, the tilt axis has turned with the image"
+    )
+    return array[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
 
 
 def _require_complete_tiff(path: Path, page: Any, n_bytes: int) -> None:
@@ -163,7 +202,8 @@ def _decode_raster(path: Path, data: bytes, file_format: str) -> DecodedImage:
             _require_credible_size(path, width, height)
         with Image.open(io.BytesIO(data), formats=[file_format]) as picture:
             _require_credible_size(path, *picture.size)
-            texts, software, notes = _read_exif(picture)
+            exif = _read_exif(picture)
+            notes = exif.warnings
             if bits == 16:
                 import imagecodecs
 
@@ -178,30 +218,40 @@ def _decode_raster(path: Path, data: bytes, file_format: str) -> DecodedImage:
                     array = np.asarray(picture)
                 else:
                     array = np.asarray(picture.convert("RGB"))
-        return _to_decoded(path, array, bits, file_format, software, texts, notes)
+        decoded = _to_decoded(path, _upright(array, exif.orientation, notes), bits, file_format, notes)
+        decoded.software, decoded.vendor_tags, decoded.plain = exif.software, exif.vendor_tags, exif.plain
+        return decoded
 
 
-def _read_exif(picture: Any) -> tuple[dict[int, str], str, list[str]]:
-    """Return the vendors' texts, the software and a note of an EXIF block, which editors copy into JPEGs."""
+@dataclass
+class _Exif:
+    """What an EXIF block holds, which editors copy into JPEGs, and the resolution that any picture may state."""
+
+    vendor_tags: dict[int, bytes] = field(default_factory=dict)
+    software: str = ""
+    orientation: int = _UPRIGHT
+    plain: PlainTags = field(default_factory=PlainTags)
+    warnings: list[str] = field(default_factory=list)
+
+
+def _read_exif(picture: Any) -> _Exif:
+    found = _Exif()
     try:
         exif = picture.getexif()
-        texts = {code: _decode_text(exif[code]) for code in _VENDOR_TAGS if code in exif}
-        return texts, str(exif.get(_SOFTWARE_TAG, "")), []
+        found.vendor_tags = {code: _stored_bytes(exif[code]) for code in VENDOR_TAGS if code in exif}
+        found.software = str(exif.get(_SOFTWARE_TAG, "")).strip("\0 ")
+        orientation = exif.get(_ORIENTATION_TAG, _UPRIGHT)
+        found.orientation = orientation if isinstance(orientation, int) else _UPRIGHT
+        per_inch = [float(value) for value in picture.info.get("dpi", (0.0, 0.0))]
+        if len(per_inch) == 2 and all(math.isfinite(value) for value in per_inch):
+            found.plain = PlainTags("", per_inch[0], per_inch[1], _UM_PER_RESOLUTION_UNIT[2], "EXIF or resolution tags")
     except Exception:  # noqa: BLE001 - a damaged EXIF block must not cost the image
-        return {}, "", ["its EXIF block cannot be read; nothing is taken from it"]
+        found.warnings.append("its EXIF block cannot be read; nothing is taken from it")
+    return found
 
 
-def _decode_text(value: Any) -> str:
-    """Decode a tag: SmartSEM and xT write Windows-1252, some editors rewrite it as UTF-8."""
-    if isinstance(value, tuple):
-        value = bytes(value)
-    if isinstance(value, str):
-        return value.rstrip("\0")
-    try:
-        text = bytes(value).decode("utf-8")
-    except UnicodeDecodeError:
-        text = bytes(value).decode("cp1252", errors="replace")
-    return text.rstrip("\0")
+def _stored_bytes(value: Any) -> bytes:
+    return value.encode("utf-8", errors="replace") if isinstance(value, str) else bytes(value)
 
 
 def _apply_palette(index: NDArray[Any], palette: NDArray[Any]) -> NDArray[Any]:
@@ -218,8 +268,6 @@ def _to_decoded(
     array: NDArray[Any],
     bits: int,
     file_format: str,
-    software: str,
-    vendor_texts: dict[int, str],
     notes: list[str],
 ) -> DecodedImage:
     if not (array.dtype in (np.uint8, np.uint16, np.int16) or array.dtype.kind == "f"):
@@ -229,7 +277,7 @@ def _to_decoded(
     if not np.isfinite(image).all():
         raise BadInputError(f"{path}: the image holds NaN or infinite values; export 8 or 16-bit grey values")
     imaged = np.ones(image.shape, dtype=np.bool_) if alpha is None else np.asarray(alpha > 0, dtype=np.bool_)
-    return DecodedImage(image, imaged, file_format, bits, software.strip("\0 "), vendor_texts, notes)
+    return DecodedImage(image, imaged, file_format, bits, warnings=notes)
 
 
 def _split_channels(path: Path, array: NDArray[Any], notes: list[str]) -> tuple[NDArray[Any], NDArray[Any] | None]:

@@ -9,19 +9,21 @@ from typing import Any
 import numpy as np
 
 from semscape.io.data_bar import data_bar_rows
-from semscape.io.micrograph import FILE_KEY_PREFIX
+from semscape.io.metadata_fields import FILE_KEY_PREFIX, STAGE_TILT_KEY
+from semscape.io.scale_bar import find_scale_bar
 from semscape.types import Micrograph, TiltSeries
 
 
 def describe_series(series: TiltSeries) -> list[dict[str, Any]]:
     """Return one dict of plain JSON values per view, in the series' order; None where a value is unknown.
 
-    Keys: name, width, height, bits_per_sample, format, vendor, pixel_size_um, tilt_deg (in semscape's sign: a
+    Keys: name, width, height, bits_per_sample, format, vendor, model, pixel_size_um, tilt_deg (in semscape's sign: a
     positive tilt about +x moves a peak to larger image y), stage_tilt_deg (what the header says, in the
     microscope's own sign, whether it was used or not), axis_deg, stage_rotation_deg, scan_rotation_deg,
-    tilt_correction_deg, working_distance_mm, accelerating_voltage_kv, magnification, data_bar_rows; `sources`
-    maps the keys that are known to "file", "sidecar", "user", "assumed" or "image" (seen in the pixels);
-    `warnings` are those of the series that name the image.
+    tilt_correction_deg, tilt_correction_axis_deg, dynamic_focus, working_distance_mm, accelerating_voltage_kv,
+    magnification, data_bar_rows, scale_bar_px (length of the bar that is burnt in); `sources` maps the keys that are
+    known to "file", "sidecar", "user", "assumed", "doubtful" or "image" (seen in the pixels), `origins` to the very
+    tag; `warnings` are those of the series that name the image.
     """
     return [_describe(view, series.warnings) for view in series.views]
 
@@ -36,6 +38,7 @@ def _describe(view: Micrograph, warnings: tuple[str, ...]) -> dict[str, Any]:
         "stage_rotation_deg": ("stage_rotation_rad", _deg(metadata.stage_rotation_rad)),
         "scan_rotation_deg": ("scan_rotation_rad", _deg(metadata.scan_rotation_rad)),
         "tilt_correction_deg": ("tilt_correction_rad", _deg(metadata.tilt_correction_rad)),
+        "tilt_correction_axis_deg": ("tilt_correction_axis_rad", _deg(metadata.tilt_correction_axis_rad)),
         "working_distance_mm": ("working_distance_um", metadata.working_distance_um / 1000),
         "accelerating_voltage_kv": ("accelerating_voltage_kv", metadata.accelerating_voltage_kv),
         "magnification": ("magnification", metadata.magnification),
@@ -45,8 +48,10 @@ def _describe(view: Micrograph, warnings: tuple[str, ...]) -> dict[str, Any]:
         key: metadata.source.get(name, "assumed") for key, (name, _) in fields.items() if values[key] is not None
     }
     rows = data_bar_rows(view.mask)
-    sources["data_bar_rows"] = "file" if rows and rows == metadata.data_bar_rows else "image"
-    stage_tilt = metadata.raw.get(FILE_KEY_PREFIX + "stage_tilt_deg")
+    told = rows and rows == metadata.data_bar_rows
+    sources["data_bar_rows"] = metadata.source.get("data_bar_rows", "file") if told else "image"
+    bar = find_scale_bar(view.image, view.mask)
+    stage_tilt = metadata.raw.get(STAGE_TILT_KEY)
     bits = metadata.raw.get(FILE_KEY_PREFIX + "bits_per_sample")
     return {
         "name": view.name,
@@ -55,10 +60,14 @@ def _describe(view: Micrograph, warnings: tuple[str, ...]) -> dict[str, Any]:
         "bits_per_sample": int(bits) if bits else None,
         "format": metadata.raw.get(FILE_KEY_PREFIX + "format"),
         "vendor": metadata.vendor,
+        "model": metadata.model,
         **values,
         "stage_tilt_deg": float(stage_tilt) if stage_tilt else None,
+        "dynamic_focus": metadata.dynamic_focus,
         "data_bar_rows": rows,
+        "scale_bar_px": None if bar is None else bar.length_px,
         "sources": sources,
+        "origins": {key: metadata.origin[name] for key, (name, _) in fields.items() if name in metadata.origin},
         "warnings": [text for text in warnings if _names(text, view.name)],
     }
 

@@ -1,14 +1,26 @@
-"""Collect the fields that one vendor's text yields, with their source and a warning for each unusable value."""
+"""Collect the fields that one vendor's text yields, each with its origin, and a warning for each unusable value."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from semscape.io.quantities import RAD_PER_ANGLE, parse_quantity
 from semscape.types import FieldSource, SemMetadata
 
+# Keys of `SemMetadata.raw` for what semscape notes of the image file; all others are the vendor's.
+FILE_KEY_PREFIX = "file."
+STAGE_TILT_KEY = FILE_KEY_PREFIX + "stage_tilt_deg"
+# At scan rotation 0 a positive stage tilt turns the surface's normal towards the top of the image: a negative
+# rotation about +x in semscape's convention.
+TILT_SIGN = -1.0
+
 _MAX_PIXEL_SIZE_UM = 1000.0
+_POSITIVE = ("pixel_size_um", "working_distance_um", "accelerating_voltage_kv", "magnification")
+_MAX_BAR_SHARE = 0.4
+_ANISOTROPY_LIMIT = 1e-3
+_ON = {"on", "yes", "true", "1"}
 
 
 class MetadataFields:
@@ -20,40 +32,115 @@ class MetadataFields:
         Name of the vendor whose text is read.
     raw : mapping of str to str
         The vendor's own tags, kept whole.
+    place : str
+        Where the text stands, like "tag 34118"; it begins every field's origin.
+    values : mapping of str to str
+        The texts to read values from, where they are not those of `raw`.
     """
 
-    def __init__(self, vendor: str, raw: Mapping[str, str]) -> None:
+    def __init__(
+        self, vendor: str, raw: Mapping[str, str], place: str, values: Mapping[str, str] | None = None
+    ) -> None:
         self.vendor = vendor
         self.raw = dict(raw)
         self.warnings: list[str] = []
+        self._place = place
+        self._texts = self.raw if values is None else values
         self._values: dict[str, Any] = {}
+        self._origin: dict[str, str] = {}
 
     def warn(self, text: str) -> None:
         """Note a warning, each one once."""
         if text not in self.warnings:
             self.warnings.append(text)
 
-    def set(self, name: str, value: float) -> None:
-        """Set a field that is known; NaN leaves it unknown."""
+    def text(self, key: str) -> str:
+        """Return a tag's value as text, "" where there is none."""
+        return self._texts.get(key, "").strip()
+
+    def is_on(self, key: str) -> bool:
+        """Tell whether a switch is on."""
+        return self.text(key).lower() in _ON
+
+    def read(self, keys: str | Iterable[str], units: Mapping[str, float], bare: str = "") -> tuple[float, str]:
+        """Return the first of some tags that holds a number with one of `units`, and its key; NaN without any."""
+        for key in [keys] if isinstance(keys, str) else keys:
+            if not self.text(key):
+                continue
+            try:
+                return parse_quantity(self.text(key), units, bare), key
+            except ValueError:
+                self.warn(
+                    f"{key} holds {self.raw.get(key, self.text(key))[:100]!r}, which is no number with a known unit; "
+                    "it is taken as unknown"
+                )
+        return math.nan, ""
+
+    def take(self, name: str, keys: str | Iterable[str], units: Mapping[str, float], bare: str = "") -> None:
+        """Set a field from the first of some tags that holds a number with one of `units`."""
+        value, key = self.read(keys, units, bare)
+        self.set(name, value, key)
+
+    def take_stage_tilt(self, keys: str | Iterable[str], bare: str, *, sign_is_known: bool) -> None:
+        """Set the tilt from the stage's reading, turned into semscape's sign."""
+        self.set_stage_tilt(*self.read(keys, RAD_PER_ANGLE, bare), sign_is_known=sign_is_known)
+
+    def set_stage_tilt(self, value: float, key: str, *, sign_is_known: bool) -> None:
+        """Set the tilt from the stage's reading in rad."""
         if math.isnan(value):
             return
-        if not math.isfinite(value):
+        self.set("tilt_rad", TILT_SIGN * value, key)
+        self.raw[STAGE_TILT_KEY] = f"{math.degrees(value) + 0.0:.9g}"
+        if not sign_is_known and value != 0:
+            self.warn(
+                f"the sign of this {self.vendor} stage's tilt is assumed (positive leans structures up in the image); "
+                "if hills come out as pits, give the tilts with the other sign"
+            )
+
+    def take_square_pixel(self, width_um: float, height_um: float, key: str) -> None:
+        """Set the pixel size from a pixel's width, with a warning where the height differs."""
+        self.set("pixel_size_um", width_um, key)
+        if abs(height_um - width_um) > _ANISOTROPY_LIMIT * abs(width_um):
+            self.warn(f"pixels are {width_um:.6g} um wide but {height_um:.6g} um high; the width is used")
+
+    def set(self, name: str, value: float, key: str) -> None:
+        """Set a field that is known, with the tag it came from; NaN leaves it unknown, an absurd value as well."""
+        if math.isnan(value):
+            return
+        absurd = value <= 0 if name in _POSITIVE else False
+        if absurd or not math.isfinite(value) or (name == "pixel_size_um" and value > _MAX_PIXEL_SIZE_UM):
             self.warn(f"{name} of the {self.vendor} header is {value:g}; it is taken as unknown")
             return
         self._values[name] = value + 0.0  # -0 becomes 0
+        self._origin[name] = f"{self._place}, {key}" if key else self._place
 
-    def set_positive(self, name: str, value: float) -> None:
-        """Set a field that is known and must be positive (a pixel size: below 1 mm as well)."""
-        if value <= 0 or (name == "pixel_size_um" and value > _MAX_PIXEL_SIZE_UM):
-            self.warn(f"{name} of the {self.vendor} header is {value:g}; it is taken as unknown")
-            return
-        self.set(name, value)
+    def set_tilt_correction(self, value_rad: float, key: str) -> None:
+        """Note that tilt correction was on; the angle may be NaN, which means unknown."""
+        self._values["tilt_correction_rad"] = value_rad + 0.0
+        self._origin["tilt_correction_rad"] = f"{self._place}, {key}"
 
-    def set_data_bar_rows(self, rows: int) -> None:
-        """Set the height of the data bar."""
-        self._values["data_bar_rows"] = rows
+    def set_dynamic_focus(self, key: str) -> None:
+        """Note that dynamic focus was on."""
+        self._values["dynamic_focus"] = True
+        self._origin["dynamic_focus"] = f"{self._place}, {key}"
 
-    def metadata(self) -> SemMetadata:
-        """Return the fields as metadata whose every known field comes from the file."""
-        source: dict[str, FieldSource] = dict.fromkeys(self._values, "file")
-        return SemMetadata(vendor=self.vendor, source=source, raw=self.raw, **self._values)
+    def set_data_bar_rows(self, rows: float, image_height: int, key: str) -> None:
+        """Set the height of the data bar, where it is credible."""
+        if 0 <= rows < _MAX_BAR_SHARE * image_height:
+            self._values["data_bar_rows"] = int(rows)
+            self._origin["data_bar_rows"] = f"{self._place}, {key}"
+
+    def warn_if_resized(self, stored_width: float, image_width: int) -> None:
+        """Warn where the image is not as wide as the microscope stored it."""
+        if stored_width > 0 and stored_width != image_width:
+            self.warn(
+                f"the image is {image_width} px wide, but the microscope stored {stored_width:.0f} px: it was cropped "
+                "or resized, and after resizing the pixel size in its header is wrong; give the true one if so"
+            )
+
+    def metadata(self, model: str = "", source: FieldSource = "file") -> SemMetadata:
+        """Return the fields as metadata whose every known field comes from `source`."""
+        sources: dict[str, FieldSource] = dict.fromkeys(self._values, source)
+        return SemMetadata(
+            vendor=self.vendor, model=model, source=sources, origin=self._origin, raw=self.raw, **self._values
+        )

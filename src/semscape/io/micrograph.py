@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import math
 from dataclasses import replace
 from pathlib import Path
 
 from semscape.errors import BadInputError
-from semscape.io import thermo_fisher, zeiss
 from semscape.io.data_bar import find_data_bar
 from semscape.io.image_file import DecodedImage, decode_image
-from semscape.types import Micrograph, SemMetadata
+from semscape.io.metadata_fields import FILE_KEY_PREFIX
+from semscape.io.vendors import read_vendor_metadata
+from semscape.types import BoolArray, Micrograph, SemMetadata
 
 logger = logging.getLogger(__name__)
 
-# Keys of `SemMetadata.raw` for what the image file itself says; all others are the vendor's.
-FILE_KEY_PREFIX = "file."
-
 
 def read_micrograph(path: str | Path) -> Micrograph:
-    """Read a TIFF, PNG, JPEG or BMP file with whatever Zeiss or Thermo Fisher metadata it holds.
+    """Read a TIFF, PNG, JPEG or BMP file with whatever metadata it or a text beside it holds.
 
     Values stay as stored, in float32, without any rescaling; an RGB image that is grey inside is accepted
     (its brightness is used), an image stored as white-is-zero is turned. Of a multi-page TIFF the first page is
@@ -48,45 +45,48 @@ def read_micrograph(path: str | Path) -> Micrograph:
     return micrograph
 
 
-def read_micrograph_and_warnings(path: str | Path) -> tuple[Micrograph, tuple[str, ...]]:
-    """Read as `read_micrograph` does; return the warnings, which begin with the file's name, as well."""
+def read_micrograph_and_warnings(
+    path: str | Path, given_bar_rows: float | None = None
+) -> tuple[Micrograph, tuple[str, ...]]:
+    """Read as `read_micrograph` does; return the warnings, which begin with the file's name, as well.
+
+    A height of the data bar that is given goes before the header's and before what the pixels show; 0 is no bar.
+    """
     path = Path(path)
     try:
         data = path.read_bytes()
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read ({error.strerror or error})") from error
     decoded = decode_image(path, data)
-    metadata, metadata_warnings = _parse_metadata(decoded)
+    metadata, metadata_warnings = _read_metadata(path, decoded)
     micrograph = Micrograph(
         name=path.name,
         image=decoded.image,
-        mask=find_data_bar(decoded.image, metadata.data_bar_rows) & decoded.imaged,
+        mask=_mask(path, decoded, metadata, given_bar_rows),
         metadata=metadata,
         digest=hashlib.sha256(data).hexdigest(),
     )
     return micrograph, tuple(f"{path.name}: {text}" for text in (*decoded.warnings, *metadata_warnings))
 
 
-def _parse_metadata(decoded: DecodedImage) -> tuple[SemMetadata, tuple[str, ...]]:
-    metadata = SemMetadata()
-    warnings: tuple[str, ...] = ()
+def _mask(path: Path, decoded: DecodedImage, metadata: SemMetadata, given_bar_rows: float | None) -> BoolArray:
+    if given_bar_rows is None:
+        return find_data_bar(decoded.image, metadata.data_bar_rows) & decoded.imaged
+    height = decoded.image.shape[0]
+    if given_bar_rows >= height:
+        raise BadInputError(f"{path}: a data bar of {given_bar_rows:g} rows is given, the image has {height}")
+    mask = decoded.imaged.copy()
+    mask[height - int(given_bar_rows) :] = False
+    return mask
+
+
+def _read_metadata(path: Path, decoded: DecodedImage) -> tuple[SemMetadata, tuple[str, ...]]:
     height, width = decoded.image.shape
-    tilt_sign = 1.0
-    for tag, text in decoded.vendor_texts.items():
-        if tag == zeiss.TAG:
-            metadata, warnings = zeiss.parse_zeiss(text, width)
-            tilt_sign = zeiss.TILT_SIGN
-        elif tag in thermo_fisher.TAGS:
-            metadata, warnings = thermo_fisher.parse_thermo_fisher(text, (height, width))
-            tilt_sign = thermo_fisher.TILT_SIGN
-        if metadata.raw:
-            break
+    metadata, warnings = read_vendor_metadata(path, decoded.vendor_tags, decoded.plain, (height, width))
     of_file = {
         FILE_KEY_PREFIX + "format": decoded.file_format,
         FILE_KEY_PREFIX + "bits_per_sample": str(decoded.bits),
     }
-    if math.isfinite(metadata.tilt_rad):
-        of_file[FILE_KEY_PREFIX + "stage_tilt_deg"] = f"{tilt_sign * math.degrees(metadata.tilt_rad) + 0.0:.9g}"
     if decoded.software:
         of_file[FILE_KEY_PREFIX + "software"] = decoded.software
     return replace(metadata, raw={**metadata.raw, **of_file}), warnings

@@ -12,10 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from semscape.errors import BadInputError
-from semscape.io.acquisition import read_given_acquisition
+from semscape.io.acquisition import GivenAcquisition, read_given_acquisition
+from semscape.io.bar_scale import scale_by_bar
+from semscape.io.burnt_in import find_burnt_in_text
 from semscape.io.header_credibility import settle_metadata
 from semscape.io.image_file import IMAGE_SUFFIXES
 from semscape.io.micrograph import read_micrograph_and_warnings
+from semscape.io.scan_settings import undo_scan_settings
 from semscape.options import InputOptions
 from semscape.types import Micrograph, TiltSeries
 
@@ -59,20 +62,31 @@ def load_series(folder: str | Path, options: InputOptions = _DEFAULT_OPTIONS) ->
     views: list[Micrograph] = []
     notes: list[str] = []
     for path in paths:
-        view, view_notes = read_micrograph_and_warnings(path)
+        view, view_notes = read_micrograph_and_warnings(path, given.fields.get(path.name, {}).get("data_bar_rows"))
         views.append(view)
         notes += view_notes
     _require_one_size(folder, views)
     for view in views:
         _require_contrast(folder, view)
     _require_distinct(folder, views)
-    views, bar_warnings = _align_data_bars(views)
+    views, bar_warnings = _align_data_bars(views, given)
+    views, text_warnings = _mask_burnt_in_text(views)
     metadata, metadata_warnings = settle_metadata(names, [view.metadata for view in views], given)
     views = [replace(view, metadata=settled) for view, settled in zip(views, metadata, strict=True)]
+    views, scale_warnings = scale_by_bar(folder, views, given)
+    views, scan_warnings = undo_scan_settings(views)
     tilts = np.array([view.metadata.tilt_rad for view in views])
     if np.isfinite(tilts).all():
         views = [views[i] for i in np.argsort(tilts, kind="stable")]
-    warnings = (*ignored_warnings, *_merge_notes(notes), *bar_warnings, *metadata_warnings)
+    warnings = (
+        *ignored_warnings,
+        *_merge_notes(notes),
+        *bar_warnings,
+        *text_warnings,
+        *metadata_warnings,
+        *scale_warnings,
+        *scan_warnings,
+    )
     return TiltSeries(views=tuple(views), warnings=warnings)
 
 
@@ -166,8 +180,18 @@ def _require_distinct(folder: Path, views: Sequence[Micrograph]) -> None:
         seen[pixels] = view.name
 
 
-def _align_data_bars(views: list[Micrograph]) -> tuple[list[Micrograph], list[str]]:
+def _mask_burnt_in_text(views: list[Micrograph]) -> tuple[list[Micrograph], list[str]]:
+    text = find_burnt_in_text([view.image for view in views], [view.mask for view in views])
+    if not text.any():
+        return views, []
+    warning = f"text that is burnt into the images is masked ({100 * float(text.mean()):.2g} % of the image)"
+    return [replace(view, mask=view.mask & ~text) for view in views], [warning]
+
+
+def _align_data_bars(views: list[Micrograph], given: GivenAcquisition) -> tuple[list[Micrograph], list[str]]:
     """Give the bar that at least half of the views show to all: one microscope draws one bar."""
+    if any("data_bar_rows" in fields for fields in given.fields.values()):
+        return views, []
     bars = Counter(tuple(np.flatnonzero(~view.mask.any(axis=1)).tolist()) for view in views)
     rows, count = max(bars.items(), key=lambda item: (item[1], len(item[0])))
     if len(bars) == 1 or not rows or 2 * count < len(views):

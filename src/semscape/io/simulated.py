@@ -127,6 +127,26 @@ def read_truth(folder: Path | str) -> SimulationTruth:
         ) from error
 
 
+def truth_of_views(folder: Path | str, names: tuple[str, ...]) -> SimulationTruth:
+    """Read the truth of the views that a result has, in its order: it may have left some out.
+
+    Raises
+    ------
+    BadInputError
+        If there is no readable truth, or a view is not one of the simulated series.
+    """
+    truth = read_truth(folder)
+    told = json.loads((Path(folder) / TRUTH_JSON).read_text(encoding="utf-8"))
+    known = [str(view["name"]) for view in told["views"]]
+    foreign = [name for name in names if name not in known]
+    if foreign:
+        raise BadInputError(
+            f"the result's view {foreign[0]!r} is not one of the series whose truth {folder} holds "
+            f"({known[0]} ... {known[-1]}); give the folder that was reconstructed"
+        )
+    return truth.select(tuple(known.index(name) for name in names))
+
+
 def _require_own(path: Path) -> None:
     """Refuse a path that holds anything but an earlier simulation."""
     try:

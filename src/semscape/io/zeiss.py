@@ -8,9 +8,9 @@ After a head of bare numbers the text holds pairs of lines: a key (`AP_WD`) and 
 - `AP_TILT_ANGLE` is the angle of the tilt *correction*, `AP_STAGE_AT_T` the tilt of the stage;
 - `AP_SCANROTATION` and `AP_TILT_ANGLE` keep their last value while `DP_SCAN_ROT`, `DP_TILT_CORRECTION` are off.
 
-Sign of the tilt: at scan rotation 0 a SmartSEM stage tilts about the image's horizontal axis, and a positive
-reading turns the surface's normal towards the top of the image (pillars lean upwards). That is assumed here;
-it is a negative rotation about +x in semscape's convention. The axis itself is left unknown.
+At scan rotation 0 a SmartSEM stage is assumed to tilt about the image's horizontal axis, and a positive reading to
+turn the surface's normal towards the top of the image (pillars lean upwards). Newer files hold `AP_TILT_AXIS`, which
+is 0 deg beside `Stage Tilt = In Y`, and 90 deg beside `Stage Tilt = in X`: with the latter the sign is not sure.
 """
 
 from __future__ import annotations
@@ -18,20 +18,17 @@ from __future__ import annotations
 import math
 import re
 
-from semscape.io.metadata_fields import MetadataFields
+from semscape.io.metadata_fields import TILT_SIGN, MetadataFields
+from semscape.io.quantities import KV_PER_VOLTAGE, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH, repair_units
 from semscape.types import SemMetadata
 
+__all__ = ["TAG", "TILT_SIGN", "parse_zeiss"]
+
 TAG = 34118
-TILT_SIGN = -1.0
 
 _DISPLAY_WIDTH_PX = 1024
 _KEY = re.compile(r"(?:AP|DP|SV)_[A-Z0-9_]+")
-_QUANTITY = re.compile(r"\s*([-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?$")
-_UM_PER = {"fm": 1e-9, "pm": 1e-6, "nm": 1e-3, "um": 1.0, "µm": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6}
-_DEG = math.pi / 180
-_RAD_PER = {"°": _DEG, "deg": _DEG, "degrees": _DEG, "?": _DEG, "\ufffd": _DEG, "": _DEG, "rad": 1.0}  # lost signs
-_KV_PER = {"v": 1e-3, "kv": 1.0}
-_TIMES_PER = {"x": 1.0, "kx": 1e3, "mx": 1e6, "": 1.0}
+_DEG_OR_BARE = RAD_PER_ANGLE | {"": RAD_PER_ANGLE["deg"]}
 
 
 def parse_zeiss(text: str, image_width: int) -> tuple[SemMetadata, tuple[str, ...]]:
@@ -47,41 +44,37 @@ def parse_zeiss(text: str, image_width: int) -> tuple[SemMetadata, tuple[str, ..
     Examples
     --------
     >>> metadata, _ = parse_zeiss("AP_IMAGE_PIXEL_SIZE\r\nImage Pixel Size = 74.43 nm\r\n", 1024)
-    >>> round(metadata.pixel_size_um, 5), metadata.source["pixel_size_um"]
-    (0.07443, 'file')
+    >>> round(metadata.pixel_size_um, 5), metadata.origin["pixel_size_um"]
+    (0.07443, 'tag 34118, AP_IMAGE_PIXEL_SIZE')
     """
-    raw = _key_lines(_repair_units(text))
-    fields = MetadataFields("Zeiss", raw)
+    raw = _key_lines(repair_units(text))
+    values = {key: line.partition("=")[2].strip() for key, line in raw.items()}
+    fields = MetadataFields("Zeiss", raw, f"tag {TAG}", values)
 
-    def read(key: str, units: dict[str, float]) -> float:
-        return _quantity(fields, key, units)
-
-    store_width = _store_width(raw)
-    pixel_size = read("AP_IMAGE_PIXEL_SIZE", _UM_PER)
+    store_width = _store_width(fields.text("DP_IMAGE_STORE"))
+    pixel_size, key = fields.read("AP_IMAGE_PIXEL_SIZE", UM_PER_LENGTH)
     if math.isnan(pixel_size):
-        pixel_size = read("AP_PIXEL_SIZE", _UM_PER) * _DISPLAY_WIDTH_PX / (store_width or image_width)
-    fields.set_positive("pixel_size_um", pixel_size)
-    if store_width and store_width != image_width:
-        fields.warn(
-            f"the image is {image_width} px wide, but the microscope stored {store_width} px: it was cropped or "
-            "resized, and after resizing the pixel size in its header is wrong; give the true one if so"
-        )
-    fields.set("tilt_rad", TILT_SIGN * read("AP_STAGE_AT_T", _RAD_PER))
-    fields.set("stage_rotation_rad", read("AP_STAGE_AT_R", _RAD_PER))
-    fields.set_positive("working_distance_um", read("AP_WD", _UM_PER))
-    voltage = read("AP_ACTUALKV", _KV_PER)
-    fields.set_positive("accelerating_voltage_kv", read("AP_MANUALKV", _KV_PER) if math.isnan(voltage) else voltage)
-    fields.set_positive("magnification", read("AP_MAG", _TIMES_PER))
-    if "DP_SCAN_ROT" in raw:
-        fields.set("scan_rotation_rad", read("AP_SCANROTATION", _RAD_PER) if _is_on(raw["DP_SCAN_ROT"]) else 0.0)
-    if _is_on(raw.get("DP_TILT_CORRECTION", "")):
-        fields.set("tilt_correction_rad", read("AP_TILT_ANGLE", _RAD_PER))
-    return fields.metadata(), tuple(fields.warnings)
-
-
-def _repair_units(text: str) -> str:
-    """Undo the ways in which editors and encodings mangle the micro and degree signs."""
-    return text.replace("Â", "").replace("\u03bc", "µ").replace("\u00ba", "°")
+        pixel_size, key = fields.read("AP_PIXEL_SIZE", UM_PER_LENGTH)
+        pixel_size *= _DISPLAY_WIDTH_PX / (store_width or image_width)
+    fields.set("pixel_size_um", pixel_size, key)
+    fields.warn_if_resized(store_width, image_width)
+    tilt_axis, axis_key = fields.read("AP_TILT_AXIS", _DEG_OR_BARE)
+    fields.take_stage_tilt("AP_STAGE_AT_T", "deg", sign_is_known=math.isnan(tilt_axis) or tilt_axis == 0)
+    fields.take("stage_rotation_rad", "AP_STAGE_AT_R", _DEG_OR_BARE)
+    fields.take("working_distance_um", "AP_WD", UM_PER_LENGTH)
+    fields.take("accelerating_voltage_kv", ("AP_ACTUALKV", "AP_MANUALKV"), KV_PER_VOLTAGE)
+    fields.take("magnification", "AP_MAG", TIMES)
+    if fields.is_on("DP_SCAN_ROT"):
+        fields.take("scan_rotation_rad", "AP_SCANROTATION", _DEG_OR_BARE)
+    elif fields.text("DP_SCAN_ROT"):
+        fields.set("scan_rotation_rad", 0.0, "DP_SCAN_ROT")
+    if fields.is_on("DP_TILT_CORRECTION"):
+        fields.set_tilt_correction(*fields.read("AP_TILT_ANGLE", _DEG_OR_BARE))
+        if tilt_axis == 0:
+            fields.set("tilt_correction_axis_rad", 0.0, axis_key)
+    if fields.is_on("DP_DYNFOCUS"):
+        fields.set_dynamic_focus("DP_DYNFOCUS")
+    return fields.metadata(model=fields.text("DP_SEM")), tuple(fields.warnings)
 
 
 def _key_lines(text: str) -> dict[str, str]:
@@ -102,26 +95,6 @@ def _key_lines(text: str) -> dict[str, str]:
     return {"header": " ".join(header), **raw} if raw else {}
 
 
-def _value(line: str) -> str:
-    return line.partition("=")[2].strip()
-
-
-def _is_on(line: str) -> bool:
-    return _value(line).lower() in {"on", "yes", "true"}
-
-
-def _store_width(raw: dict[str, str]) -> int:
-    match = re.match(r"(\d+)\s*\*\s*\d+", _value(raw.get("DP_IMAGE_STORE", "")))
+def _store_width(store: str) -> int:
+    match = re.match(r"(\d{1,6})\s*\*\s*\d+", store)
     return int(match.group(1)) if match else 0
-
-
-def _quantity(fields: MetadataFields, key: str, units: dict[str, float]) -> float:
-    line = fields.raw.get(key, "")
-    if not _value(line):
-        return math.nan
-    match = _QUANTITY.match(_value(line))
-    unit = (match.group(2) or "").replace(" ", "").lower() if match else ""
-    if match is None or unit not in units:
-        fields.warn(f"{key} holds {line!r}, which is no number with a known unit; it is taken as unknown")
-        return math.nan
-    return float(match.group(1).replace(",", ".")) * units[unit]

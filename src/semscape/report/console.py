@@ -123,6 +123,10 @@ def print_inspection(folder: str, series: TiltSeries, views: Sequence[Mapping[st
         cells.append(f"{rows} rows ({view['sources'].get('data_bar_rows', 'image')})" if rows else "none")
         table.add_row(*(_writable(Text(cell), console) for cell in cells))
     console.print(table)
+    origins = views[0].get("origins", {})
+    if origins:
+        told = [f"{inline_label(key)} {value_text(key, views[0][key])} ({origin})" for key, origin in origins.items()]
+        print_line(f"{views[0]['name']}: {'; '.join(told)}", console)
     if series.length_unit == "px":
         print_line("no pixel size: lengths will be in px; give --pixel-size-um for um", console)
     for warning in series.warnings:

@@ -41,6 +41,7 @@ _SUFFIXES = {
     "_s": " s",
     "_rad": " rad",
     "_kv": " kV",
+    "_mm": " mm",
     "_mb": " MB",
     "_rows": " rows",
     "_percent": " %",

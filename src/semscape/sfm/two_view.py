@@ -9,9 +9,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from semscape.errors import TooFewMatchesError
+from semscape.features.guided import add_guided_matches, is_parallel
 from semscape.features.match import match
 from semscape.options import FeaturesOptions, RobustOptions
-from semscape.robust.two_view import two_view_geometry
+from semscape.robust.pair_geometry import two_view_geometry
 from semscape.types import FloatArray, Keypoints, Matches, TwoViewGeometry
 
 Pair = tuple[int, int]
@@ -27,7 +28,9 @@ def match_pair(
     rng: np.random.Generator,
     calibrations: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[Matches, TwoViewGeometry]:
-    """Match two views and estimate their epipolar geometry; an essential matrix needs the views' calibrations.
+    """Match two views, estimate their epipolar geometry, and with `features.guided` match again along its lines.
+
+    An essential matrix (`robust.model`) needs the views' calibrations.
 
     Raises
     ------
@@ -58,6 +61,8 @@ def match_pair(
             f"{n_inliers} of {len(found)} matches {between} fit one epipolar geometry (log10 NFA "
             f"{geometry.log10_nfa:.1f}), need {robust.min_inliers} and a negative log10 NFA"
         )
+    if features.guided and is_parallel(geometry):
+        return add_guided_matches(found, geometry, keypoints[i1], keypoints[i2], ratio=features.ratio)
     return found, geometry
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semscape.errors import BadInputError, TooFewMatchesError
-from semscape.robust.two_view import pinhole_calibrations, two_view_geometry
+from semscape.robust.pair_geometry import pinhole_calibrations, two_view_geometry
 from semscape.types import Micrograph, SemMetadata, TiltSeries, TwoViewGeometry
 from synthetic_pairs import SHAPES, pair_of_views, perspective_views
 

@@ -1,0 +1,83 @@
+"""Read back what measuring needs of a run folder: the height map and how far its heights can be trusted."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from semscape.errors import BadInputError
+from semscape.io.surfaces import read_height_map
+from semscape.options import read_toml
+from semscape.types import HeightMap
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """A height map with what its run says of it.
+
+    `height_scale_relative_sigma` is NaN, `window_sigma_px` 0, `ambiguity` and `verdict` are empty where nothing is
+    known: a height map that lies alone.
+    """
+
+    name: str
+    height_map: HeightMap
+    height_scale_relative_sigma: float = math.nan
+    window_sigma_px: float = 0.0
+    ambiguity: str = ""
+    verdict: str = ""
+
+
+def read_finished_run(path: Path | str) -> FinishedRun:
+    """Read a run folder, or a single height_map.npz.
+
+    Raises
+    ------
+    BadInputError
+        If there is no height map, or a file of the run cannot be read.
+    """
+    path = Path(path)
+    if path.is_file():
+        return FinishedRun(str(path), read_height_map(path))
+    if not path.is_dir():
+        raise BadInputError(f"{path} does not exist; give the run folder that semscape reconstruct wrote")
+    if not (path / "height_map.npz").is_file():
+        raise BadInputError(f"{path} is not a run folder: it holds no height_map.npz")
+    reconstruction = _read_json(path / "reconstruction.json")
+    report = _read_json(path / "report.json")
+    return FinishedRun(
+        name=str(path),
+        height_map=read_height_map(path / "height_map.npz"),
+        height_scale_relative_sigma=_number(reconstruction.get("height_scale_relative_sigma")),
+        window_sigma_px=_window_sigma_px(path / "options.toml"),
+        ambiguity=str(reconstruction.get("ambiguity", "")),
+        verdict=str(report.get("verdict", "")),
+    )
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """Return a JSON file's table; empty where there is no file, for a height map may have been copied alone."""
+    if not path.is_file():
+        return {}
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"{path} cannot be read: {error}; run semscape reconstruct again") from error
+    if not isinstance(values, dict):
+        raise BadInputError(f"{path} does not hold a table; run semscape reconstruct again")
+    return values
+
+
+def _window_sigma_px(path: Path) -> float:
+    if not path.is_file():
+        return 0.0
+    try:
+        return read_toml(path.read_text(encoding="utf-8")).dense.refine_sigma_px
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{path} cannot be read: {error}") from error
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan

@@ -1,0 +1,151 @@
+"""Undo what the scan did to the image, or warn: tilt correction, dynamic focus, scan rotation.
+
+Tilt correction stretches the image across its axis by 1 / cos of its angle, so that a flat specimen at that tilt
+looks as if seen from above. semscape wants the projection as it is; the image is squeezed back by the cosine, where
+angle and axis are told.
+
+Scan rotation turns the image, and the stage's tilt axis with it. Header tilts are converted for an axis along +x,
+as at scan rotation 0. Turned by 180 deg the same axis points along -x, so every tilt changes its sign: that is sure,
+and done. Microscopes differ in the direction in which they count, so at other angles the axis has two places; it
+is left to the images, which tell it within a fraction of a degree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from semscape.types import BoolArray, ImageArray, Micrograph, SemMetadata
+
+_STRAIGHT_DEG = 0.5  # a scan rotation this close to 0 or 180 deg turns nothing
+_LARGEST_CORRECTION_DEG = 75.0
+
+
+def undo_scan_settings(views: Sequence[Micrograph]) -> tuple[list[Micrograph], list[str]]:
+    """Return views in plain projection with the tilts' sign as scanned, and warnings with their evidence."""
+    warnings: list[str] = []
+    corrected = [_undo_tilt_correction(view, warnings) for view in views]
+    focused = [view for view in corrected if view.metadata.dynamic_focus]
+    if focused:
+        evidence = focused[0].metadata.origin.get("dynamic_focus", "series.toml")
+        warnings.append(
+            f"dynamic focus was on for {_names(focused)} ({evidence}): the magnification then changes from the first "
+            "to the last line, which semscape does not undo; switch it off for tilt series"
+        )
+    turned = [replace(view, metadata=_turn_tilt(view.metadata)) for view in corrected]
+    _warn_of_rotation(turned, corrected, warnings)
+    return turned, warnings
+
+
+def squeeze_rows(image: ImageArray, mask: BoolArray, factor: float) -> tuple[ImageArray, BoolArray]:
+    """Return an image whose rows are `factor` (below 1) times as far apart, about its middle row; the rest is masked.
+
+    Parameters
+    ----------
+    image : (H, W) float32 array
+        Values as stored.
+    mask : (H, W) bool array
+        False on the data bar, whose rows stay where they are.
+    factor : float
+        Cosine of the tilt correction's angle.
+    """
+    from scipy.ndimage import affine_transform
+
+    imaged = np.flatnonzero(mask.any(axis=1))
+    if len(imaged) == 0:
+        return image, mask
+    first, last = int(imaged[0]), int(imaged[-1])
+    middle = (last - first) / 2
+    offset = middle - middle / factor
+
+    def squeezed(values: np.ndarray, order: int) -> np.ndarray:
+        part = values[first : last + 1]
+        return np.asarray(affine_transform(part, (1 / factor, 1.0), (offset, 0.0), order=order, mode="nearest"))
+
+    rows = np.arange(last - first + 1) / factor + offset
+    inside = (rows >= 0) & (rows <= last - first)
+    new_image, new_mask = image.copy(), np.zeros_like(mask)
+    new_image[first : last + 1] = squeezed(image, 3)
+    new_mask[first : last + 1] = (squeezed(mask.astype(np.float32), 1) > 0.999) & inside[:, None]
+    return new_image, new_mask
+
+
+def _undo_tilt_correction(view: Micrograph, warnings: list[str]) -> Micrograph:
+    angle = view.metadata.tilt_correction_rad
+    if angle is None or angle == 0:
+        return view
+    metadata = view.metadata
+    evidence = metadata.origin.get("tilt_correction_rad", "series.toml")
+    axis_deg, rotation_deg = math.degrees(metadata.tilt_correction_axis_rad), math.degrees(metadata.scan_rotation_rad)
+    what = f"{view.name}: tilt correction was on"
+    out = "switch it off for tilt series; tilt_correction_deg = 0 in series.toml says that it was off"
+    if not abs(math.degrees(angle)) <= _LARGEST_CORRECTION_DEG:
+        told = "of an angle that is not told" if math.isnan(angle) else f"by {math.degrees(angle):g} deg"
+        warnings.append(f"{what} {told} ({evidence}): the image is stretched across the tilt axis; {out}")
+        return view
+    by_user = metadata.source.get("tilt_correction_axis_rad") == "sidecar"
+    if math.isnan(axis_deg) or not (by_user or abs(math.remainder(rotation_deg, 180.0)) <= _STRAIGHT_DEG):
+        scan = "an unknown scan rotation" if math.isnan(rotation_deg) else f"a scan rotation of {rotation_deg:g} deg"
+        warnings.append(
+            f"{what} by {math.degrees(angle):g} deg ({evidence}) with {scan}: in which direction the image is "
+            "stretched is not sure, so it stays; in series.toml, tilt_correction_axis_deg = 0 (stretched from top to "
+            f"bottom) or 90 (from left to right) has it undone; {out}"
+        )
+        return view
+    factor = math.cos(angle)
+    if axis_deg == 0:
+        image, mask = squeeze_rows(view.image, view.mask, factor)
+    else:
+        turned, turned_mask = squeeze_rows(view.image.T, view.mask.T, factor)
+        image, mask = np.ascontiguousarray(turned.T), np.ascontiguousarray(turned_mask.T)
+    warnings.append(
+        f"{what} by {math.degrees(angle):g} deg ({evidence}): undone, the {'rows' if axis_deg == 0 else 'columns'} are "
+        f"squeezed to {factor:.4f}; {out}"
+    )
+    return replace(view, image=image, mask=mask)
+
+
+def _turn_tilt(metadata: SemMetadata) -> SemMetadata:
+    """Return metadata whose header tilt has the sign of an image scanned upside down."""
+    from_header = metadata.source.get("tilt_rad") == "file"
+    if from_header and math.cos(metadata.scan_rotation_rad) < -math.sqrt(0.5):
+        return replace(metadata, tilt_rad=-metadata.tilt_rad + 0.0)
+    return metadata
+
+
+def _warn_of_rotation(turned: Sequence[Micrograph], before: Sequence[Micrograph], warnings: list[str]) -> None:
+    flipped = [
+        view
+        for view, old in zip(turned, before, strict=True)
+        if view.metadata.tilt_rad not in (old.metadata.tilt_rad, 0.0) and math.isfinite(view.metadata.tilt_rad)
+    ]
+    if flipped:
+        warnings.append(
+            f"the scan was turned by about 180 deg for {_names(flipped)} "
+            f"({flipped[0].metadata.origin.get('scan_rotation_rad', 'series.toml')}): the stage tilts' sign is turned"
+        )
+    oblique = [view for view in turned if abs(math.remainder(_rotation_deg(view), 180.0)) > _STRAIGHT_DEG]
+    if not oblique:
+        return
+    angle = abs(math.remainder(_rotation_deg(oblique[0]), 180.0))
+    text = (
+        f"the scan rotation of {_rotation_deg(oblique[0]):g} deg "
+        f"({oblique[0].metadata.origin.get('scan_rotation_rad', 'series.toml')}) turns a tilt axis that was "
+        f"horizontal to {angle:g} or {-angle:g} deg: microscopes count in either direction, so it is estimated from "
+        "the images"
+    )
+    if angle > 45 and any(view.metadata.source.get("tilt_rad") == "file" for view in oblique):
+        text += "; the sign of the stage tilts is not sure either: if hills come out as pits, give --tilts with the "
+        text += "other sign"
+    warnings.append(text)
+
+
+def _rotation_deg(view: Micrograph) -> float:
+    return math.degrees(view.metadata.scan_rotation_rad) if math.isfinite(view.metadata.scan_rotation_rad) else 0.0
+
+
+def _names(views: Sequence[Micrograph]) -> str:
+    return ", ".join(view.name for view in views)

@@ -1,0 +1,303 @@
+"""Measure a height map: prepare the surface, take every parameter, and say what limits each.
+
+The order is F, S, F, L: the form is fitted and taken off (so that the S-filter's one-sided windows at edges and holes
+see no slope), the S-filter smooths, a polynomial form is fitted once more to the smooth surface, as ISO 25178-3 has
+it, and the L-filter takes waviness off. Parameters of the surface are of the S-L surface (S-F where there is no
+L-filter); profiles, areas and volumes of the S-F surface; steps, angles and distances of the heights as they were
+matched.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from semscape.errors import BadInputError, NoAnswerError
+from semscape.metrology.areal import developed_area_ratio, developed_areas, height_parameters, root_mean_square_slope
+from semscape.metrology.filters import gaussian_smoother
+from semscape.metrology.findings import Figure, figures_of, surface_warnings
+from semscape.metrology.grid import Region
+from semscape.metrology.level import FormName, level, majority
+from semscape.metrology.material_ratio import material_ratio_parameters
+from semscape.metrology.outliers import find_outliers
+from semscape.metrology.planes import angle_between, fit_plane
+from semscape.metrology.profile import Profile, extract_profile, profile_parameters
+from semscape.metrology.register import Comparison, compare
+from semscape.metrology.request import MeasureRequest
+from semscape.metrology.resolution import LateralResolution, lateral_resolution
+from semscape.metrology.spatial import spatial_parameters
+from semscape.metrology.step import Step, step_along_profile, step_between_regions
+from semscape.metrology.uncertainty import Estimate, monte_carlo
+from semscape.metrology.volume import distance, volumes
+from semscape.options import MeasureOptions
+from semscape.types import FloatArray, HeightMap
+
+_MONTE_CARLO_PIXELS = 250_000
+_SAME_PIXEL_SIZE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """Everything measured of a map: figures with units and sigmas, warnings, and the surfaces behind them.
+
+    `surface` (h, w) is the S-L surface of the measured region, whose first pixel is `origin_px` (x, y) of the map.
+    """
+
+    figures: tuple[Figure, ...]
+    warnings: tuple[str, ...]
+    resolution: LateralResolution
+    surface: FloatArray
+    origin_px: tuple[int, int]
+    profile: Profile | None
+
+
+def measure(
+    height_map: HeightMap,
+    request: MeasureRequest,
+    *,
+    height_scale_relative_sigma: float = math.nan,
+    window_sigma_px: float = 0.0,
+    rng: np.random.Generator,
+) -> Measurement:
+    """Measure a height map.
+
+    Parameters
+    ----------
+    height_map : HeightMap
+    request : MeasureRequest
+        What to measure, and the options.
+    height_scale_relative_sigma : float
+        Of the reconstruction; NaN (unknown) leaves every sigma unknown.
+    window_sigma_px : float
+        Window of the dense matching, where it is known.
+    rng : numpy.random.Generator
+        For the Monte Carlo.
+
+    Raises
+    ------
+    NoAnswerError
+        If too few heights are known where something is to be measured.
+    """
+    options, pixel = request.options, height_map.pixel_size_um
+    resolution = lateral_resolution(height_map.height_um, pixel, window_sigma_px)
+    matched, uncertainty, origin = _cropped(height_map, request.region)
+    request = _shifted(request, origin)
+    n_outliers = 0
+    if not math.isnan(options.outlier_sigmas):
+        outliers = find_outliers(matched, options.outlier_sigmas)
+        n_outliers = int(outliers.sum())
+        matched = np.where(outliers, np.nan, matched)
+    smooth, rough = prepared_surfaces(matched, pixel, options)(matched)
+    estimates = _with_uncertainty(
+        matched, uncertainty, pixel, request, resolution, height_scale_relative_sigma, rng=rng
+    )
+    unit = height_map.length_unit
+    developed, projected = developed_areas(smooth, pixel)
+    contents = volumes(smooth, pixel, options.volume_level_um)
+    slopes = {"Sdq": root_mean_square_slope(rough, pixel), "Sdr": developed_area_ratio(rough, pixel)}
+    areas = {"projected area": projected, "developed area": developed}
+    areas |= {"volume above": contents.above, "volume below": contents.below, "unknown area": contents.unknown_area}
+    groups: dict[str, dict[str, float]] = {
+        "height": height_parameters(rough),
+        "slope": slopes,
+        "spatial": spatial_parameters(rough, pixel),
+        "material ratio": material_ratio_parameters(rough),
+        "area and volume": areas,
+    }
+    profile = None
+    if request.profile is not None:
+        line = np.array(request.profile).reshape(2, 2)
+        profile = extract_profile(smooth, pixel, line[0], line[1])
+        nesting_index = None if math.isnan(options.l_filter_um) else options.l_filter_um
+        length = float(profile.distance[-1])
+        groups["profile"] = {"length": length} | profile_parameters(profile, nesting_index)
+    if request.edges:
+        groups["step along the profile"] = _step_figures(step_of_profile(matched, pixel, request))
+    if request.step is not None:
+        masks = [region.mask(matched.shape) for region in request.step]
+        groups["step"] = _step_figures(step_between_regions(matched, pixel, *masks))
+    if request.angle is not None:
+        planes = [fit_plane(matched, pixel, region.mask(matched.shape)) for region in request.angle]
+        tilts = {f"tilt of plane {i}": math.degrees(plane.tilt_rad) for i, plane in enumerate(planes, 1)}
+        groups["angle"] = {"angle between planes": math.degrees(angle_between(*planes))} | tilts
+    if request.distance is not None:
+        ends = np.array(request.distance).reshape(2, 2)
+        apart = distance(matched, pixel, ends[0], ends[1])
+        groups["distance"] = {"lateral": apart.lateral, "vertical": apart.vertical, "spatial": apart.spatial}
+    figures = tuple(figure for group, values in groups.items() for figure in figures_of(group, values, unit, estimates))
+    warnings = surface_warnings(figures, matched, resolution, options, pixel=pixel, unit=unit, n_outliers=n_outliers)
+    return Measurement(figures, warnings, resolution, rough, origin, profile)
+
+
+def prepared_surfaces(
+    height: FloatArray, spacing: float, options: MeasureOptions, *, for_draws: bool = False
+) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
+    """Return a function from heights, known where `height` is, to the S-F and the S-L surface.
+
+    The filters' weights are computed once. For the draws of a Monte Carlo so is the majority that a robust fit
+    levels on, for it is the same in all of them.
+    """
+    form = cast("FormName", options.level)
+    known = np.isfinite(height)
+    robust, region = options.robust and form != "none", None
+    if robust and for_draws:
+        robust, region = False, majority(level(height, spacing, form, robust=True).height)
+    if form == "sphere":
+        known = np.isfinite(level(height, spacing, form, robust=options.robust).height)
+    s_filter, l_filter = (
+        None if math.isnan(index) else gaussian_smoother(known, spacing, index)
+        for index in (options.s_filter_um, options.l_filter_um)
+    )
+
+    def prepare(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        smooth = np.where(known, level(heights, spacing, form, robust=robust, region=region).height, np.nan)
+        if s_filter is not None:
+            # A draw's sphere may end a little earlier; what it does not reach must not become a hole of the filter.
+            smooth = s_filter(np.where(known, np.nan_to_num(smooth), np.nan))
+            if form not in ("none", "sphere"):
+                smooth = level(smooth, spacing, form, robust=robust, region=region).height
+        if l_filter is None:
+            return smooth, smooth
+        return smooth, smooth - l_filter(np.where(known, np.nan_to_num(smooth), np.nan))
+
+    return prepare
+
+
+def step_of_profile(matched: FloatArray, spacing: float, request: MeasureRequest) -> Step:
+    """Return the step at the request's edges along its profile, of the heights as they were matched."""
+    if request.profile is None:
+        raise ValueError("the edges of a step belong to a profile, and the request has none")
+    line = np.array(request.profile).reshape(2, 2)
+    return step_along_profile(extract_profile(matched, spacing, line[0], line[1]), request.edges)
+
+
+def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Figure, ...], Comparison]:
+    """Register an earlier map of the same place to this one and measure what was lost and gained since.
+
+    Only changes beyond three robust sigmas of the difference count, so that noise adds up to no volume. The two maps'
+    height scales each have their own error, which shows as a difference in proportion to the relief.
+
+    Raises
+    ------
+    BadInputError
+        If the maps differ in unit or pixel size.
+    NoAnswerError
+        If they do not overlap.
+    """
+    pixel, unit = height_map.pixel_size_um, height_map.length_unit
+    if earlier.length_unit != unit or abs(earlier.pixel_size_um / pixel - 1) > _SAME_PIXEL_SIZE:
+        raise BadInputError(
+            f"the maps have pixels of {pixel:.6g} {unit} and {earlier.pixel_size_um:.6g} {earlier.length_unit}; only "
+            "maps of one pixel size can be compared: take the images at one magnification"
+        )
+    comparison = compare(height_map.height_um, earlier.height_um, pixel)
+    change = -comparison.difference
+    limit = 3 * comparison.residual_sigma
+    lost, gained = np.where(change < -limit, -change, 0.0), np.where(change > limit, change, 0.0)
+    matrix = comparison.first_from_second
+    rows, cols = height_map.height_um.shape
+    middle = np.array([(cols - 1) / 2 * pixel, (rows - 1) / 2 * pixel, 0.0])
+    values = {
+        "overlap": 100 * comparison.overlap,
+        "residual sigma": comparison.residual_sigma,
+        "volume lost": float(lost.sum()) * pixel**2,
+        "volume gained": float(gained.sum()) * pixel**2,
+        "deepest loss": float(np.nanpercentile(-change, 99.9)),
+        "lateral shift": float(np.hypot(*(matrix[:3, :3] @ middle + matrix[:3, 3] - middle)[:2])),
+        "turn": math.degrees(math.atan2(matrix[1, 0], matrix[0, 0])),
+    }
+    return figures_of("change", values, unit), replace(comparison, difference=change)
+
+
+def _with_uncertainty(
+    matched: FloatArray,
+    uncertainty: FloatArray,
+    pixel: float,
+    request: MeasureRequest,
+    resolution: LateralResolution,
+    scale_sigma: float,
+    *,
+    rng: np.random.Generator,
+) -> dict[str, Estimate]:
+    """Return Sa, Sq, volumes and steps with their uncertainties.
+
+    Of a large map every k-th pixel is drawn, no farther apart than twice the noise's sigma: a sum over such samples has
+    the variance of the sum over all, to 1e-4, for the noise between them follows from theirs.
+    """
+    options = request.options
+    stride = int(np.ceil(np.sqrt(matched.size / _MONTE_CARLO_PIXELS)))
+    stride = max(1, min(stride, int(2 * resolution.sigma_px)))
+    thinned, sigma, step_px = matched[::stride, ::stride], uncertainty[::stride, ::stride], pixel * stride
+    if np.isfinite(thinned).sum() < 10:
+        raise NoAnswerError(f"{np.isfinite(matched).sum()} heights are known in the region; choose a larger one")
+    prepare = prepared_surfaces(thinned, step_px, options, for_draws=True)
+    regions = None if request.step is None else [r.scaled(1 / stride).mask(thinned.shape) for r in request.step]
+    line = None if request.profile is None else tuple(place / stride for place in request.profile)
+    along = replace(request, profile=line)  # type: ignore[arg-type]
+
+    def figures(heights: FloatArray) -> dict[str, float]:
+        smooth, rough = prepare(heights)
+        parameters = height_parameters(rough)
+        contents = volumes(smooth, step_px, options.volume_level_um)
+        found = {"height/Sa": parameters["Sa"], "height/Sq": parameters["Sq"]}
+        found |= {"area and volume/volume above": contents.above, "area and volume/volume below": contents.below}
+        if regions is not None:
+            found["step/height"] = step_between_regions(heights, step_px, *regions).height
+        if request.edges:
+            found["step along the profile/height"] = step_of_profile(heights, step_px, along).height
+        return found
+
+    return monte_carlo(
+        thinned,
+        sigma,
+        figures,
+        correlation_sigma_px=resolution.sigma_px / stride,
+        scale_relative_sigma=scale_sigma,
+        draws=options.draws,
+        rng=rng,
+    )
+
+
+def _cropped(height_map: HeightMap, region: Region | None) -> tuple[FloatArray, FloatArray, tuple[int, int]]:
+    height, uncertainty = height_map.height_um, height_map.uncertainty_um
+    if region is None:
+        return height, uncertainty, (0, 0)
+    inside = region.mask((height.shape[0], height.shape[1]))
+    rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if min(len(rows), len(cols)) < 2:
+        raise NoAnswerError(
+            f"the region covers {len(cols)} x {len(rows)} px of the map, which is {height.shape[1]} x "
+            f"{height.shape[0]} px; choose a larger one"
+        )
+    window = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
+    return height[window], uncertainty[window], (int(cols[0]), int(rows[0]))
+
+
+def _shifted(request: MeasureRequest, origin: tuple[int, int]) -> MeasureRequest:
+    """Return the request with its places in the px of the region that starts at `origin`."""
+    x, y = origin
+
+    def line(places: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
+        return None if places is None else (places[0] - x, places[1] - y, places[2] - x, places[3] - y)
+
+    def two(regions: tuple[Region, Region] | None) -> tuple[Region, Region] | None:
+        if regions is None:
+            return None
+        first, second = (Region(r.x0_px - x, r.y0_px - y, r.x1_px - x, r.y1_px - y) for r in regions)
+        return first, second
+
+    return replace(
+        request,
+        profile=line(request.profile),
+        distance=line(request.distance),
+        step=two(request.step),
+        angle=two(request.angle),
+    )
+
+
+def _step_figures(step: Step) -> dict[str, float]:
+    return {"height": step.height, "perpendicular": step.perpendicular, "residual rms": step.residual_rms}
