@@ -62,7 +62,10 @@ _RANGES = {
     "run.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
-_CHOICES = {"features.detector": ["sift", "surf", "orb", "brief"]}
+_CHOICES = {
+    "features.detector": ["sift", "surf", "orb", "brief"],
+    "robust.model": ["affine", "fundamental", "homography", "essential", "auto"],
+}
 
 
 class _Stage:
@@ -105,9 +108,14 @@ class FeaturesOptions(_Stage):
 
 @dataclass(frozen=True)
 class RobustOptions(_Stage):
-    """A contrario RANSAC per pair: largest number of trials, and the least number of inliers to keep a pair."""
+    """A contrario RANSAC per pair: the model, most trials, and the least number of inliers to keep a pair.
 
-    max_trials: int = 2000
+    `limit_parallax` drops inliers of the affine model that stand far out of the relief of the others.
+    """
+
+    model: str = "affine"
+    limit_parallax: bool = False
+    max_trials: int = 10_000
     min_inliers: int = 24
 
 

@@ -168,7 +168,9 @@ class TwoViewGeometry(_Value):
 
     `inliers` (M,) bool and `residual_px` (M,) belong to the pair's putative matches; `threshold_px` is the
     distance to the epipolar line that the a contrario method chose; `log10_nfa` is negative when the model
-    is meaningful.
+    is meaningful. For the kind "homography" x2 ~ `matrix` x1, and residuals are distances to points.
+    `log10_nfa_by_kind` holds the figure of every kind that was tried, of which the least won; `planar` tells
+    that the inliers show no parallax.
     """
 
     pair: tuple[int, int]
@@ -179,6 +181,14 @@ class TwoViewGeometry(_Value):
     threshold_px: float
     log10_nfa: float
     n_trials: int
+    log10_nfa_by_kind: Mapping[str, float] = field(default_factory=dict)
+    planar: bool = False
+
+    @property
+    def nfa_margin(self) -> float:
+        """By how many powers of ten the NFA is below that of the next best kind; NaN where no other was tried."""
+        others = [value for kind, value in self.log10_nfa_by_kind.items() if kind != self.kind]
+        return min(others) - self.log10_nfa if others else np.nan
 
 
 @dataclass(frozen=True, eq=False)

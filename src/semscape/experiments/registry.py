@@ -14,6 +14,7 @@ ALL = "all"
 # Section 2 of the thesis, then 3.4 to 3.8. A module is imported when its experiment runs.
 EXPERIMENTS: Mapping[str, str] = MappingProxyType(
     {
+        "matching": "semscape.experiments.matching:run",
         "surfaces": "semscape.experiments.surfaces:run",
         "faces": "semscape.experiments.faces:run",
     }

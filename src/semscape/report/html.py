@@ -178,7 +178,18 @@ def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
 
 
 def _pairs(report: Mapping[str, Any], result: Result) -> str:
-    head = ["Pair", "Keypoints", "Matches", "Inliers", "Share", "Tracks", "Threshold (px)", "log₁₀ NFA", "Trials"]
+    head = [
+        "Pair",
+        "Keypoints",
+        "Matches",
+        "Inliers",
+        "Share",
+        "Tracks",
+        "Model",
+        "Threshold (px)",
+        "log₁₀ NFA",
+        "Trials",
+    ]
     rows = []
     for item in report["pairs"]:
         first, second = item.get("pair", (0, 0))
@@ -193,6 +204,7 @@ def _pairs(report: Mapping[str, Any], result: Result) -> str:
                 number(inliers),
                 f"{100 * inliers / matches:.0f} %" if matches and inliers is not None else "–",
                 number(item.get("tracks")),
+                f"{item.get('model', '–')}{', planar' if item.get('planar') else ''}",
                 fixed(item.get("threshold_px"), 2),
                 fixed(item.get("log10_nfa"), 0),
                 number(item.get("trials")),
