@@ -1,21 +1,23 @@
 """Draw the pictures of docs/ (`make docs-pictures`): hillshades of the measured series, and the one of the README.
 
-Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme.
+Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens.
 """
 
 from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL.Image import fromarray
 
 import semscape
 from isolated import REAL_SETS, REPOSITORY, absent, real_set_folder
 from semscape.report.figures import hillshade_picture
 from semscape.report.hillshade import hillshade
-from semscape.simulate import PRESETS, simulate
+from semscape.simulate import PRESETS, SPECIMENS, acquire, simulate
 from semscape.types import Result
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ _LARGEST_BYTES = 500_000
 _LARGE_BYTES = 400_000
 _COLOURS = 256
 _README_SPECIMEN = "pollen"
+_TILE_PX = 240
 
 
 def draw_real(name: str) -> bytes:
@@ -37,6 +40,15 @@ def draw_readme() -> bytes:
     """Return micrograph, shaded relief and height map of a simulated series side by side."""
     series, _ = simulate(_README_SPECIMEN, PRESETS["nominal"], rng=0)
     return _side_by_side(semscape.reconstruct(series, rng=0))
+
+
+def draw_specimens() -> bytes:
+    """Return the specimens of the simulated microscope side by side, and pollen by one backscatter segment."""
+    options = replace(PRESETS["nominal"], tilts_deg=(0.0,), width_px=_TILE_PX, height_px=_TILE_PX, pixel_size_um=0.3)
+    tiles = [simulate(name, options, rng=0)[0].views[0].image for name in SPECIMENS]
+    tiles.append(acquire("pollen", replace(options, detector="bse-4"), rng=0).segments[0].views[0].image)
+    rows = [np.hstack(tiles[start : start + 4]) for start in (0, 4)]
+    return _png(fromarray(np.vstack(rows).astype(np.uint8)))
 
 
 def _side_by_side(result: Result) -> bytes:
@@ -95,13 +107,13 @@ def _png(image: Image) -> bytes:
 def main(names: list[str]) -> None:
     """Draw the pictures that are named, or all."""
     PICTURES.mkdir(parents=True, exist_ok=True)
-    for name in names or (*REAL_SETS, "readme"):
+    for name in names or (*REAL_SETS, "readme", "specimens"):
         reason = absent(name) if name in REAL_SETS else None
         if reason:
             print(f"{name}: skipped, {reason}", file=sys.stderr)
             continue
-        path = PICTURES / ("readme.png" if name == "readme" else f"hillshade_{name}.png")
-        picture = draw_readme() if name == "readme" else draw_real(name)
+        path = PICTURES / (f"hillshade_{name}.png" if name in REAL_SETS else f"{name}.png")
+        picture = {"readme": draw_readme, "specimens": draw_specimens}.get(name, lambda name=name: draw_real(name))()
         picture = _on_white(picture)
         if len(picture) > _LARGEST_BYTES:
             raise SystemExit(f"{path.name} has {len(picture)} bytes, more than {_LARGEST_BYTES}")

@@ -3,7 +3,7 @@
 Every figure of a simulated series is measured as that of a measured one: by the same reconstruction, without any
 option, over the specimen's area in the reference view. That holds for the roughness too, for a reconstructed surface
 holds stereo noise that the true one does not. Without names on the command line the table goes into
-docs/simulator.md, and a strip of the images beside it.
+docs/simulator.md.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import math
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -194,36 +195,48 @@ def _register(
 
 def table(figures: Mapping[str, Mapping[str, float]]) -> str:
     """Return the table in Markdown; simulated figures within the range of the measured sets are bold."""
-    real = [name for name in figures if name in REAL_SETS]
-    made = [name for name in figures if name not in REAL_SETS]
-    lines = [f"| | {' | '.join((*real, *made))} |", f"|---|{'---|' * len(figures)}"]
+    real, made = [*REAL_SETS], [*SPECIMENS]
+    lines = [f"| | {' | '.join((*real, *made))} |", f"|---|{'---|' * len((*real, *made))}"]
     for key, label in (_ROWS | _TRUE_ROWS).items():
         measured = [figures[name][key] for name in real if key in figures[name]]
-        cells = [f"{figures[name][key]:.3g}" if key in figures[name] else "" for name in real]
+        cells = [f"{figures[name][key]:.4g}" if key in figures[name] else "" for name in real]
         for name in made:
             value = figures[name][key]
             within = bool(measured) and min(measured) <= value <= max(measured)
-            cells.append(f"**{value:.3g}**" if within else f"{value:.3g}")
+            cells.append(f"**{value:.4g}**" if within else f"{value:.4g}")
         lines.append(f"| {label} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def main(names: list[str]) -> None:
-    """Measure the cases that are named; without names all, and write the table into the page."""
-    figures = {}
-    for name in names or (*REAL_SETS, *SPECIMENS):
+def write_page(figures: Mapping[str, Mapping[str, float]]) -> None:
+    """Put the table between its marks in docs/simulator.md."""
+    missing = [name for name in (*REAL_SETS, *SPECIMENS) if name not in figures]
+    if missing:
+        raise SystemExit(f"the table needs all series; there are no figures of {', '.join(missing)}")
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    _, after = rest.split(END)
+    PAGE.write_text(f"{before}{BEGIN}\n{table(figures)}\n{END}{after}", encoding="utf-8")
+
+
+def main(arguments: list[str]) -> None:
+    """Print the figures of the cases that are named; without names measure all and write the table into the page.
+
+    `--page FILE...` writes the table from what earlier calls printed.
+    """
+    figures: dict[str, dict[str, float]] = {}
+    if arguments[:1] == ["--page"]:
+        for file in arguments[1:]:
+            figures |= json.loads(Path(file).read_text(encoding="utf-8"))
+        write_page(figures)
+        return
+    for name in arguments or (*REAL_SETS, *SPECIMENS):
         reason = absent(name) if name in REAL_SETS else None
         print(f"{name}: {reason or 'measuring'}", file=sys.stderr)
         if reason is None:
             figures[name] = measure(name)
     print(json.dumps(figures, indent=1))
-    if names:
-        return
-    if not figures.keys() >= set(REAL_SETS):
-        raise SystemExit("the table of docs/simulator.md needs the measured series")
-    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-    _, after = rest.split(END)
-    PAGE.write_text(f"{before}{BEGIN}\n{table(figures)}\n{END}{after}", encoding="utf-8")
+    if not arguments:
+        write_page(figures)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -107,6 +108,7 @@ def test_data_bar_covers_the_bottom_alone() -> None:
 MOTION_FAULTS = ("scale_drift", "anisotropy", "roll_deg", "stage_error_deg", "shift_px")
 IMAGE_FAULTS = {
     "blur_px": 1.0,
+    "defocus": 0.1,
     "dose": 100.0,
     "line_noise": 0.05,
     "jitter_px": 0.3,
@@ -125,6 +127,18 @@ def test_image_faults_act_and_switch_off_alone() -> None:
         assert min(changed) > 0.01, name
         np.testing.assert_array_equal(faulty_truth.motion.translation_px, truth.motion.translation_px)
         np.testing.assert_array_equal(faulty_truth.motion.tilt_rad, truth.motion.tilt_rad)
+
+
+# What belongs to the signal is on in every preset, and each effect can be taken away alone.
+SIGNAL_EFFECTS = ("edge_gain", "detector_asymmetry", "cavity", "texture", "texture_bump")
+
+
+@pytest.mark.parametrize("name", SIGNAL_EFFECTS)
+def test_effects_of_the_signal_act_and_switch_off_alone(name: str) -> None:
+    bare = replace(SMALL, **dict.fromkeys(SIGNAL_EFFECTS, 0.0))
+    without = simulate("spheres", bare, rng=4)[0].views[0].image
+    with_it = simulate("spheres", replace(bare, **{name: getattr(SMALL, name)}), rng=4)[0].views[0].image
+    assert np.mean(with_it != without) > 0.01
 
 
 @pytest.mark.parametrize("name", MOTION_FAULTS)
@@ -165,3 +179,15 @@ def test_ideal_motion_is_what_was_asked_for() -> None:
     np.testing.assert_allclose(truth.motion.translation_px, [[31.5, 23.5]] * 2)
     np.testing.assert_allclose(truth.motion.scale_px_per_um, 10.0)
     np.testing.assert_array_equal(truth.stage_tilt_rad, truth.motion.tilt_rad)
+
+
+def test_the_page_tells_the_strengths_of_the_presets() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text(encoding="utf-8")
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| `")]
+    told = {}
+    for names, _, *cells in (row for row in rows if len(row) == 5):
+        columns = [[float(value) for value in cell.split(",")] for cell in cells]
+        told |= dict(zip(names.replace("`", "").split(", "), zip(*columns, strict=True), strict=True))
+    assert set(MOTION_FAULTS) | set(IMAGE_FAULTS) | {"cavity", "edge_gain", "data_bar_rows"} <= set(told)
+    for name, values in told.items():
+        assert values == tuple(getattr(PRESETS[preset], name) for preset in ("ideal", "nominal", "hard")), name

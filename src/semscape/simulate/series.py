@@ -33,7 +33,7 @@ OVERSAMPLING = 2
 _MAX_HEIGHT = 0.3
 _MARGIN_PX = 24.0
 # Grey levels of the series' exposure: the darkest and brightest permille of the view nearest to zero tilt.
-_DARK, _BRIGHT = 0.12, 0.78
+_DARK, _BRIGHT = 0.24, 0.80
 # Nobody turns the contrast up until a flat specimen shows nothing but noise: least range in units of the mean signal.
 _LEAST_RANGE = 2.0
 _WORKING_DISTANCE_UM = 8000.0
