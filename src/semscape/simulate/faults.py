@@ -44,7 +44,7 @@ def blur_beam(signal: FloatArray, depth_px: FloatArray, options: SimulationOptio
     """Blur a signal (H, W) by the beam, wider where the surface is out of focus.
 
     `depth_px` (H, W) is the distance from the focal plane, NaN where there is no surface: the beam is taken as focused
-    there. The sigma is that of a Gaussian beam of half-angle `defocus`; between a few fixed sigmas it is interpolated.
+    there. Between a few fixed sigmas the image is interpolated.
     """
     if options.blur_px <= 0 and options.defocus <= 0:
         return signal

@@ -231,9 +231,9 @@ def pollen(size: SpecimenSize, rng: np.random.Generator) -> Specimen:
     centres = (direction[:, None, :] * (radius * along)[None, :, None]).reshape(-1, 3)
     centres = np.vstack([np.zeros((1, 3)), centres])
     radii = np.concatenate([[radius], np.tile(thickness, count)])
-    height = -0.25 * radius + _roughness(size, 0.012 * size.field_um, 0.3 * size.field_um, rng)
+    height = -0.25 * radius + _roughness(size, 0.009 * size.field_um, 0.3 * size.field_um, rng)
     stamp_spheres(height, size, centres, radii)
-    height += _roughness(size, 0.0022 * size.field_um, 0.06 * size.field_um, rng)
+    height += _roughness(size, 0.0016 * size.field_um, 0.06 * size.field_um, rng)
     return _specimen("pollen", height, size, rng, 0.4)
 
 
