@@ -199,13 +199,17 @@ def table(figures: Mapping[str, Mapping[str, float]]) -> str:
     lines = [f"| | {' | '.join((*real, *made))} |", f"|---|{'---|' * len((*real, *made))}"]
     for key, label in (_ROWS | _TRUE_ROWS).items():
         measured = [figures[name][key] for name in real if key in figures[name]]
-        cells = [f"{figures[name][key]:.4g}" if key in figures[name] else "" for name in real]
+        cells = [_cell(figures[name][key]) if key in figures[name] else "" for name in real]
         for name in made:
             value = figures[name][key]
             within = bool(measured) and min(measured) <= value <= max(measured)
-            cells.append(f"**{value:.4g}**" if within else f"{value:.4g}")
+            cells.append(f"**{_cell(value)}**" if within else _cell(value))
         lines.append(f"| {label} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _cell(value: float) -> str:
+    return f"{value:.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def write_page(figures: Mapping[str, Mapping[str, float]]) -> None:
