@@ -6,7 +6,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/setup-done
 CODE := src tests benchmarks examples
 
-.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures docs-experiments clean
+.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
+	simulator-speed clean
 
 help:
 	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
@@ -16,6 +17,8 @@ help:
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
 	@echo "make benchmark      seconds per stage and peak memory, as JSON"
+	@echo "make simulator-realism  simulated beside measured series: the table of docs/simulator.md"
+	@echo "make simulator-speed    seconds per simulated view, as JSON"
 	@echo "make docs-pictures  draw the pictures of docs/ again"
 	@echo "make docs-experiments  run every experiment and write docs/experiments.md"
 	@echo "make clean          remove .venv, caches and the demo"
@@ -52,6 +55,12 @@ accuracy: $(STAMP)
 
 benchmark: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py
+
+simulator-realism: $(STAMP)
+	@$(BIN)/python benchmarks/simulator_realism.py
+
+simulator-speed: $(STAMP)
+	@$(BIN)/python benchmarks/simulator_speed.py
 
 docs-pictures: $(STAMP)
 	@$(BIN)/python benchmarks/docs_pictures.py

@@ -1,16 +1,18 @@
 """Draw the pictures of docs/ (`make docs-pictures`): hillshades of the measured series, the one of the README,
 and the pair with a fixed threshold and a contrario.
 
-Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, matching.
+Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens, matching.
 """
 
 from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL.Image import fromarray
 
 import semscape
 from isolated import REAL_SETS, REPOSITORY, absent, real_set_folder
@@ -19,7 +21,7 @@ from semscape.experiments.matching_pairs import simulated_pair
 from semscape.experiments.study import Setting
 from semscape.report.figures import hillshade_picture
 from semscape.report.hillshade import hillshade
-from semscape.simulate import PRESETS, simulate
+from semscape.simulate import PRESETS, SPECIMENS, acquire, simulate
 from semscape.types import Result
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ _LARGEST_BYTES = 500_000
 _LARGE_BYTES = 400_000
 _COLOURS = 256
 _README_SPECIMEN = "pollen"
+_TILE_PX = 240
 
 
 def draw_real(name: str) -> bytes:
@@ -50,6 +53,15 @@ def draw_matching() -> bytes:
     _, figure = simulated_pair(Setting(), FIXED_THRESHOLDS_PX)
     with Image.open(io.BytesIO(figure.png)) as image:
         return _png(image.resize((image.width // 2, image.height // 2), Image.Resampling.LANCZOS))
+
+
+def draw_specimens() -> bytes:
+    """Return the specimens of the simulated microscope side by side, and pollen by one backscatter segment."""
+    options = replace(PRESETS["nominal"], tilts_deg=(0.0,), width_px=_TILE_PX, height_px=_TILE_PX, pixel_size_um=0.3)
+    tiles = [simulate(name, options, rng=0)[0].views[0].image for name in SPECIMENS]
+    tiles.append(acquire("pollen", replace(options, detector="bse-4"), rng=0).segments[0].views[0].image)
+    rows = [np.hstack(tiles[start : start + 4]) for start in (0, 4)]
+    return _png(fromarray(np.vstack(rows).astype(np.uint8)))
 
 
 def _side_by_side(result: Result) -> bytes:
@@ -105,7 +117,7 @@ def _png(image: Image) -> bytes:
     return buffer.getvalue()
 
 
-_SIMULATED = {"readme": draw_readme, "matching": draw_matching}
+_SIMULATED = {"readme": draw_readme, "specimens": draw_specimens, "matching": draw_matching}
 
 
 def main(names: list[str]) -> None:

@@ -188,7 +188,12 @@ def measure(
 def simulate(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the images.", metavar="FOLDER")],
     specimen: Annotated[
-        str | None, typer.Argument(help="Built-in specimen, like fracture, pollen or vickers.", metavar="SPECIMEN")
+        str | None,
+        typer.Argument(
+            help="Built in: fracture, spheres, grating, vickers, scratches, pollen or face; or a file of your own in "
+            "um, z up: a mesh (ply, obj, stl, off, glb) or a height map (npz, float tif).",
+            metavar="SPECIMEN",
+        ),
     ] = None,
     preset: Annotated[str | None, typer.Option(metavar="NAME", help="Microscope: ideal, nominal or hard.")] = None,
     tilts: Annotated[str | None, typer.Option(help="Stage tilts in deg, like -6,-3,0,3,6.", metavar="LIST")] = None,
@@ -197,15 +202,28 @@ def simulate(
     size: Annotated[
         str | None, typer.Option(metavar="SIZE", help="Size of the images in px, like 512 or 640x480.")
     ] = None,
+    dose: Annotated[float | None, typer.Option(min=0, metavar="N", help="Electrons per pixel, 0 for no noise.")] = None,
+    detector: Annotated[str | None, typer.Option(metavar="NAME", help="Detector: se, bse-3 or bse-4.")] = None,
     pixel_size_um: PixelSizeOption = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="A strength, like drift_px=0.5 or charging=0; may be repeated."
+        ),
+    ] = None,
     seed: SeedOption = None,
     quiet: QuietOption = False,
     debug: DebugOption = False,
 ) -> None:
-    """Simulate a tilt series of a built-in specimen, with its exact truth in truth.json."""
+    """Simulate a tilt series of a specimen, with its exact truth in truth.json.
+
+    A specimen of your own fills the image, unless the pixel size is given.
+    """
     with _exit_codes(debug=debug, quiet=quiet):
-        microscope = simulation_options(preset, tilts, views, step, size, pixel_size_um)
-        series = _simulate_into(output, specimen, microscope, seed)
+        given = {"dose": dose, "detector": detector, "pixel_size_um": pixel_size_um}
+        microscope = simulation_options(preset, tilts, views, step, size, settings, **given)
+        fit = pixel_size_um is None and not any(item.startswith("pixel_size_um") for item in settings or [])
+        series = _simulate_into(output, specimen, microscope, seed, fit=fit)
         if not quiet:
             typer.echo(f"{series.n_views} views in {output}; try: semscape reconstruct {output} -o {output}-run")
 
@@ -334,17 +352,25 @@ def _run(folder: Path, output: Path, options: Options, *, workers: int | None, q
 
 
 def _simulate_into(
-    folder: Path, specimen: str | None, microscope: SimulationOptions | None, seed: int | None
+    folder: Path, specimen: str | None, microscope: SimulationOptions | None, seed: int | None, *, fit: bool = False
 ) -> TiltSeries:
-    """Simulate a series and write it to a folder that is new, empty or an earlier simulation's."""
+    """Simulate a series and write it to a folder that is new, empty or an earlier simulation's.
+
+    With `fit` a specimen from a file is magnified until it fills the image.
+    """
     from semscape.io.simulated import write_simulated_series
-    from semscape.simulate import simulate as simulate_series
+    from semscape.io.specimens import read_surface
+    from semscape.simulate import acquire, fit_pixel_size, specimen_from_surface
 
     given: dict[str, Any] = {} if specimen is None else {"specimen": specimen}
     given |= {} if seed is None else {"rng": seed}
-    series, truth = simulate_series(options=microscope, **given)
-    write_simulated_series(folder, series, truth)
-    return series
+    if specimen is not None and Path(specimen).suffix:  # no built-in name has a dot
+        own = specimen_from_surface(Path(specimen).name, read_surface(specimen), texture_seed=seed or 0)
+        microscope = fit_pixel_size(microscope, own) if fit and microscope is not None else microscope
+        given["specimen"] = own
+    acquisition = acquire(options=microscope, **given)
+    write_simulated_series(folder, acquisition.series, acquisition.truth, acquisition.segments)
+    return acquisition.series
 
 
 def _console(*, err: bool = False) -> Console:

@@ -295,6 +295,8 @@ class SimulationTruth(_Value):
     `motion` is the true motion (its tilts are the true ones), `stage_tilt_rad` (V,) what the stage claims,
     `height_um` (H, W) the surface over the grid `world_from_grid` at zero tilt (highest point under each
     pixel, NaN where there is none), `normals` (H, W, 3), `visible` (V, H, W) where each view sees that point.
+    `skew` is each view's shift along x per px of y, () for none; `working_distance_um` is finite for perspective.
+    `mesh` is the whole surface where it is more than a height map.
     """
 
     motion: Motion
@@ -306,6 +308,9 @@ class SimulationTruth(_Value):
     world_from_grid: FloatArray
     seed: int
     settings: Mapping[str, Any] = field(default_factory=dict)
+    skew: tuple[float, ...] = ()
+    working_distance_um: float = np.inf
+    mesh: SurfaceMesh | None = None
 
     def select(self, indices: tuple[int, ...]) -> SimulationTruth:
         """Return the truth of the views `indices`, in that order; the surface is the same."""
