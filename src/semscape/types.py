@@ -323,7 +323,13 @@ class SimulationTruth(_Value):
             anisotropy=self.motion.anisotropy[at],
             translation_px=self.motion.translation_px[at],
         )
-        return replace(self, motion=motion, stage_tilt_rad=self.stage_tilt_rad[at], visible=self.visible[at])
+        return replace(
+            self,
+            motion=motion,
+            stage_tilt_rad=self.stage_tilt_rad[at],
+            visible=self.visible[at],
+            skew=tuple(self.skew[i] for i in at) if self.skew else (),
+        )
 
 
 @dataclass(frozen=True, eq=False)

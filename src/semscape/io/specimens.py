@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.errors import BadInputError
+from semscape.io.mesh_file import MESH_SUFFIXES, read_mesh
 from semscape.types import FloatArray, HeightMap, SurfaceMesh
 
-MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb")
 HEIGHT_MAP_SUFFIXES = (".npz", ".tif", ".tiff")
 
 # Keys of the heights, and of the distance of the nodes along x and y, in the order in which they are looked for.
@@ -46,7 +46,7 @@ def read_surface(path: Path | str) -> SurfaceMesh | HeightMap:
     if not path.is_file():
         raise BadInputError(f"{path}: there is no such file")
     if suffix in MESH_SUFFIXES:
-        return _read_mesh(path)
+        return read_mesh(path)
     height, dx, dy = _read_npz(path) if suffix == ".npz" else _read_tiff(path)
     if height.ndim != 2 or min(height.shape) < 2 or not np.isfinite(height).any():
         raise BadInputError(f"{path}: a height map needs rows and columns of heights, got the shape {height.shape}")
@@ -67,24 +67,6 @@ def read_surface(path: Path | str) -> SurfaceMesh | HeightMap:
         world_from_grid=world_from_grid,
         length_unit="um",
     )
-
-
-def _read_mesh(path: Path) -> SurfaceMesh:
-    import trimesh
-
-    try:
-        mesh: Any = trimesh.load_mesh(path)
-        # Vertices that differ in texture coordinates alone are one vertex of the surface.
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        if mesh.is_watertight and mesh.volume < 0:
-            mesh.invert()
-        vertices = np.asarray(mesh.vertices, dtype=np.float64)
-        faces = np.asarray(mesh.faces, dtype=np.int64)
-    except Exception as error:  # the readers of five formats raise what they like
-        raise BadInputError(f"{path} cannot be read as a mesh: {type(error).__name__}: {error}") from error
-    if not len(faces) or not np.isfinite(vertices).all() or not np.ptp(vertices[:, :2], axis=0).all():
-        raise BadInputError(f"{path} holds no surface: {len(faces)} triangles over {len(vertices)} points")
-    return SurfaceMesh(vertices, faces, np.full((len(vertices), 3), 200, dtype=np.uint8), "um")
 
 
 def _read_npz(path: Path) -> tuple[FloatArray, float, float]:
