@@ -1,0 +1,112 @@
+"""From images to a surface: `reconstruct` and `inspect`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from semscape.cli.application import (
+    AxisOption,
+    DebugOption,
+    FolderArgument,
+    OptionsOption,
+    PixelSizeOption,
+    QuietOption,
+    ScaleBarOption,
+    SeedOption,
+    SetOption,
+    TiltsOption,
+    WorkersOption,
+    app,
+)
+from semscape.cli.outcome import console, exit_codes
+from semscape.flags import effective_options
+
+if TYPE_CHECKING:
+    from semscape.options import Options
+
+
+@app.command(short_help="Reconstruct the surface from a folder of images.")
+def reconstruct(
+    folder: FolderArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Run folder to write.", metavar="RUN")],
+    tilts: TiltsOption = None,
+    pixel_size_um: PixelSizeOption = None,
+    scale_bar_um: ScaleBarOption = None,
+    axis_deg: AxisOption = None,
+    settings: SetOption = None,
+    options_file: OptionsOption = None,
+    seed: SeedOption = None,
+    workers: WorkersOption = None,
+    invert_relief: Annotated[
+        bool | None,
+        typer.Option("--invert-relief/--keep-relief", help="Mirror a relief whose sign nothing but shading fixed."),
+    ] = None,
+    quiet: QuietOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Reconstruct the surface from a folder of tilted images and write a run folder."""
+    with exit_codes(debug=debug, quiet=quiet):
+        options = effective_options(
+            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um
+        )
+        run_into(folder, output, options, workers=workers, quiet=quiet)
+
+
+@app.command(short_help="Show what is understood of a folder of images.")
+def inspect(
+    folder: FolderArgument,
+    tilts: TiltsOption = None,
+    pixel_size_um: PixelSizeOption = None,
+    scale_bar_um: ScaleBarOption = None,
+    axis_deg: AxisOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    write: Annotated[bool, typer.Option("--write", help="Write series.toml into FOLDER, for you to edit.")] = False,
+    debug: DebugOption = False,
+) -> None:
+    """Show what is understood of a folder of images: vendor, pixel size, tilt, data bar, each with its source."""
+    with exit_codes(debug=debug, quiet=False):
+        from semscape.io.inspect import describe_series
+        from semscape.io.run_folder import json_text
+        from semscape.io.series import load_series
+        from semscape.io.series_template import write_series_toml
+        from semscape.report.console import print_inspection
+
+        options = effective_options(None, None, tilts, pixel_size_um, axis_deg, None, None, scale_bar_um)
+        series = load_series(folder, options.input)
+        views = describe_series(series)
+        if as_json:
+            typer.echo(json_text({"views": views, "warnings": series.warnings}), nl=False)
+        else:
+            print_inspection(str(folder), series, views, console())
+        if write:
+            path = write_series_toml(folder, views, series.warnings)
+            typer.echo(f"{path} holds what was understood, as comments; edit it to override anything", err=True)
+
+
+def run_into(folder: Path, output: Path, options: Options, *, workers: int | None, quiet: bool) -> None:
+    """Reconstruct a folder of images into a run folder, with progress on stderr and the summary on stdout."""
+    from semscape.io.run_folder import prepare_run_folder
+    from semscape.io.series import load_series
+    from semscape.report.console import StageLines, print_line, print_summary
+
+    series = load_series(folder, options.input)
+    prepare_run_folder(output)
+
+    from semscape.pipeline import reconstruct as reconstruct_series
+    from semscape.report.run import write_run
+
+    given = {} if workers is None else {"workers": workers}
+    with StageLines(console(err=True), quiet=quiet, unit=series.length_unit) as progress:
+        result = reconstruct_series(series, options, rng=options.run.seed, progress=progress, **given)
+        progress("report", None)
+        write_run(result, output)
+        progress("report", {})
+    if quiet:
+        return
+    for warning in (*result.report.failures, *result.report.warnings):
+        print_line(f"warning: {warning}", console(err=True), "yellow")
+    print_summary(result, console())
+    print_line(f"report: {output / 'report.html'}", console())
