@@ -1,4 +1,4 @@
-"""The command line: `semscape reconstruct`, `inspect`, `measure`, `simulate` and `demo`.
+"""The command line: `semscape reconstruct`, `inspect`, `measure`, `convert`, `simulate` and `demo`.
 
 Exit codes: 0 done, 1 a fault of semscape itself, 2 bad input or usage, 3 the data give no answer, 130
 interrupted. What a command needs is imported when it runs, so that `semscape --help` is quick. No flag has
@@ -182,6 +182,35 @@ def measure(
             typer.echo(measured.json(), nl=False)
         else:
             print_measurement(measured, _console())
+
+
+@app.command(short_help="Write the surface in other programs' formats.")
+def convert(
+    run: Annotated[Path, typer.Argument(help="Run folder of semscape reconstruct.", metavar="RUN")],
+    to: Annotated[str, typer.Option("--to", metavar="LIST", help="Formats, like x3p,stl; see docs/files.md.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="PATH", help="Folder, or a file for one format.")],
+    unit: Annotated[str | None, typer.Option(metavar="UNIT", help="Unit of meshes: um, mm or nm.")] = None,
+    color: Annotated[str | None, typer.Option(metavar="MAP", help="micrograph, or by height: viridis, ...")] = None,
+    max_vertices: Annotated[int | None, typer.Option(metavar="N", help="Largest number of a mesh's vertices.")] = None,
+    print_scale: Annotated[float | None, typer.Option(metavar="N", help="Magnification of the print.")] = None,
+    print_size_mm: Annotated[float | None, typer.Option(metavar="MM", help="Longest side of the print.")] = None,
+    base_mm: Annotated[float | None, typer.Option(metavar="MM", help="Thickness of the print's plate.")] = None,
+    images: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Images of the run, for stereo.")] = None,
+    quiet: QuietOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Write the surface of a run for other programs: meshes, height maps, a 3D print, stereo pictures."""
+    with _exit_codes(debug=debug, quiet=quiet):
+        from semscape.options import ConvertOptions
+        from semscape.report.conversion import convert as convert_run
+
+        given: dict[str, Any] = {"unit": unit, "color": color, "max_vertices": max_vertices, "print_scale": print_scale}
+        given |= {"print_size_mm": print_size_mm, "base_mm": base_mm}
+        options = ConvertOptions(**{name: value for name, value in given.items() if value is not None})
+        formats = [name.strip().lower() for name in to.split(",") if name.strip()]
+        for path in convert_run(run, formats, output, options, images=images):
+            if not quiet:
+                typer.echo(path)
 
 
 @app.command(short_help="Simulate a tilt series with its exact truth.")

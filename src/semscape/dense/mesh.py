@@ -15,10 +15,7 @@ def height_map_mesh(height_map: HeightMap, *, max_vertices: int) -> SurfaceMesh:
 
     Triangles that span an unknown pixel, or a slope steeper than 83 deg (a depth jump), are left out.
     """
-    rows, columns = height_map.height_um.shape
-    stride = max(1, int(np.sqrt(height_map.height_um.size / max_vertices)))
-    while -(-rows // stride) * -(-columns // stride) > max_vertices:
-        stride += 1
+    stride = grid_stride(height_map, max_vertices)
     height = height_map.height_um[::stride, ::stride]
     row, col = (axis * stride for axis in np.indices(height.shape))
     known = np.isfinite(height)
@@ -49,6 +46,15 @@ def height_map_mesh(height_map: HeightMap, *, max_vertices: int) -> SurfaceMesh:
         np.repeat(grey[:, None], 3, axis=1),
         height_map.length_unit,
     )
+
+
+def grid_stride(height_map: HeightMap, max_vertices: int) -> int:
+    """Return the least n such that every n-th row and column of the grid make at most `max_vertices`."""
+    rows, columns = height_map.height_um.shape
+    stride = max(1, int(np.sqrt(height_map.height_um.size / max_vertices)))
+    while -(-rows // stride) * -(-columns // stride) > max_vertices:
+        stride += 1
+    return stride
 
 
 def grey_levels(image: ImageArray) -> NDArray[np.uint8]:
