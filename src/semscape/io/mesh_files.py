@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.errors import BadInputError
+from semscape.io.png import encode_png
 from semscape.io.surfaces import NEEDS_PIXEL_SIZE, MeshUnit, describe_mesh, vertices_in
 from semscape.types import FloatArray, LengthUnit, SurfaceMesh
 
@@ -90,9 +91,9 @@ def encode_obj(
         header=describe_mesh("surface", length_unit),
     )
     material_text = files.pop(f"{name}.mtl").decode()
-    ((picture_name, pixels),) = files.items()
+    (picture_name,) = files
     return {
-        f"{name}.png": pixels,
+        f"{name}.png": encode_png(picture, f"colours of {name}.obj"),
         f"{name}.mtl": material_text.replace(picture_name, f"{name}.png").encode(),
         f"{name}.obj": text.encode(),
     }

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from semscape.io.surfaces import describe_height_map
 from semscape.types import HeightMap
 
-_HIDDEN_POINT = 2  # of vtkDataSetAttributes::PointGhostTypes
+# Of vtkDataSetAttributes: some filters look at hidden points, others at hidden cells.
+_HIDDEN_POINT, _HIDDEN_CELL = 2, 32
 _TYPES = {"<f4": "Float32", "|u1": "UInt8"}
 
 
@@ -20,7 +21,8 @@ def encode_vts(height_map: HeightMap) -> bytes:
     """Return a height map as VTS: points in the world frame and the map's unit, float32.
 
     The point data are height, uncertainty (named with their unit, NaN where unknown), n_views and texture. A point
-    of unknown height is hidden: its z is 0 and is never shown. Field data state the unit.
+    of unknown height is hidden, for VTK knows no gaps in a grid; it lies at the least height.
+    Field data state the unit.
 
     References
     ----------
@@ -31,8 +33,9 @@ def encode_vts(height_map: HeightMap) -> bytes:
     height = height_map.height_um[::-1]
     rows, columns = height.shape
     unknown = ~np.isfinite(height)
+    least = height[~unknown].min() if not unknown.all() else 0.0
     row, col = np.indices(height.shape)
-    grid = np.stack([col, rows - 1 - row, np.where(unknown, 0.0, height), np.ones_like(height)], axis=-1)
+    grid = np.stack([col, rows - 1 - row, np.where(unknown, least, height), np.ones_like(height)], axis=-1)
     points = (grid @ height_map.world_from_grid.T)[..., :3]
     point_data = {
         f"height_{unit}": _float32(height),
@@ -41,6 +44,8 @@ def encode_vts(height_map: HeightMap) -> bytes:
         "texture": _float32(height_map.texture[::-1]),
         "vtkGhostType": np.where(unknown, _HIDDEN_POINT, 0).astype("|u1"),
     }
+    in_gap = unknown[:-1, :-1] | unknown[1:, :-1] | unknown[:-1, 1:] | unknown[1:, 1:]
+    hidden_cells = np.where(in_gap, _HIDDEN_CELL, 0).astype("|u1")
     extent = f"0 {columns - 1} 0 {rows - 1} 0 0"
     lines = [
         '<?xml version="1.0"?>',
@@ -53,6 +58,7 @@ def encode_vts(height_map: HeightMap) -> bytes:
         f'<PointData Scalars="height_{unit}">',
         *(_data_array(name, values) for name, values in point_data.items()),
         "</PointData>",
+        f"<CellData>{_data_array('vtkGhostType', hidden_cells)}</CellData>",
         f"<Points>{_data_array('Points', _float32(points), components=3)}</Points>",
         "</Piece>",
         "</StructuredGrid>",

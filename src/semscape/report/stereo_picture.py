@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from semscape.dense.stereo_pair import stereo_pair, stereo_views
 from semscape.errors import BadInputError
 from semscape.io.finished_run import FinishedViews, read_finished_views
+from semscape.io.png import encode_png
 from semscape.io.series import load_series
 from semscape.types import FloatArray, TiltSeries
 
@@ -38,12 +37,12 @@ def rectified_pair(
 
 def anaglyph_png(left: FloatArray, right: FloatArray, description: str) -> bytes:
     """Return a red-cyan anaglyph: red to the left eye, green and blue to the right one."""
-    return _png(np.stack([left, right, right], axis=-1).astype(np.uint8), description)
+    return encode_png(np.stack([left, right, right], axis=-1).astype(np.uint8), description)
 
 
 def side_by_side_png(left: FloatArray, right: FloatArray, description: str) -> bytes:
     """Return both pictures in one, the left eye's at the left, for parallel viewing and for stereo displays."""
-    return _png(np.concatenate([left, right], axis=1).astype(np.uint8), description)
+    return encode_png(np.concatenate([left, right], axis=1).astype(np.uint8), description)
 
 
 def _series_of(views: FinishedViews, images: Path) -> TiltSeries:
@@ -55,15 +54,3 @@ def _series_of(views: FinishedViews, images: Path) -> TiltSeries:
             what = "does not hold" if name not in found else "holds another"
             raise BadInputError(f"{images} {what} {name} of the run; give the folder that was reconstructed")
     return replace(series, views=tuple(found[name] for name in views.names))
-
-
-def _png(pixels: NDArray[np.uint8], description: str) -> bytes:
-    from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
-
-    text = PngInfo()
-    text.add_text("Software", "semscape")
-    text.add_text("Description", description)
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="PNG", pnginfo=text)
-    return buffer.getvalue()
