@@ -116,14 +116,15 @@ def test_vtk_reads_the_glb(tmp_path: Path) -> None:
 def test_obj_brings_its_material_and_picture(tmp_path: Path) -> None:
     picture = np.arange(60, dtype=np.uint8).reshape(4, 5, 3)
     uv = np.random.default_rng(0).uniform(0, 1, (len(MESH.vertices_um), 2))
-    files = encode_obj(MESH, uv, picture, "quartz", "um")
-    assert set(files) == {"quartz.obj", "quartz.mtl", "quartz.png"}
+    files = encode_obj(MESH, uv, picture, "my quartz", "um")
+    assert set(files) == {"my quartz.obj", "my_quartz.mtl", "my_quartz.png"}
+    assert b"mtllib my_quartz.mtl\n" in files["my quartz.obj"]
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
-    mesh = trimesh.load_mesh(tmp_path / "quartz.obj", process=False)
+    mesh = trimesh.load_mesh(tmp_path / "my quartz.obj", process=False)
     np.testing.assert_allclose(mesh.visual.uv, uv, atol=1e-6)
     np.testing.assert_array_equal(np.asarray(mesh.visual.material.image.convert("RGB")), picture)
-    with Image.open(tmp_path / "quartz.png") as image:
+    with Image.open(tmp_path / "my_quartz.png") as image:
         np.testing.assert_array_equal(np.asarray(image), picture)
 
 

@@ -80,6 +80,7 @@ def encode_obj(
     from trimesh.visual.material import SimpleMaterial
 
     surface, length_unit = _trimesh(mesh, unit)
+    companion = "_".join(name.split())  # names inside an OBJ end at a space
     # White, for viewers multiply the picture by it.
     material = SimpleMaterial(image=Image.fromarray(picture), diffuse=(255, 255, 255, 255))  # type: ignore[no-untyped-call]
     surface.visual = TextureVisuals(uv=uv, material=material)  # type: ignore[no-untyped-call]
@@ -87,14 +88,14 @@ def encode_obj(
         surface,
         include_normals=False,
         return_texture=True,
-        mtl_name=f"{name}.mtl",
+        mtl_name=f"{companion}.mtl",
         header=describe_mesh("surface", length_unit),
     )
-    material_text = files.pop(f"{name}.mtl").decode()
+    material_text = files.pop(f"{companion}.mtl").decode()
     (picture_name,) = files
     return {
-        f"{name}.png": encode_png(picture, f"colours of {name}.obj"),
-        f"{name}.mtl": material_text.replace(picture_name, f"{name}.png").encode(),
+        f"{companion}.png": encode_png(picture, f"colours of {name}.obj"),
+        f"{companion}.mtl": material_text.replace(picture_name, f"{companion}.png").encode(),
         f"{name}.obj": text.encode(),
     }
 
