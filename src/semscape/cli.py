@@ -193,7 +193,7 @@ def convert(
     color: Annotated[str | None, typer.Option(metavar="MAP", help="micrograph, or by height: viridis, ...")] = None,
     max_vertices: Annotated[int | None, typer.Option(metavar="N", help="Largest number of a mesh's vertices.")] = None,
     print_scale: Annotated[float | None, typer.Option(metavar="N", help="Magnification of the print.")] = None,
-    print_size_mm: Annotated[float | None, typer.Option(metavar="MM", help="Longest side of the print.")] = None,
+    print_size_mm: Annotated[float | None, typer.Option(metavar="MM", help="Longest side of the plate.")] = None,
     base_mm: Annotated[float | None, typer.Option(metavar="MM", help="Thickness of the print's plate.")] = None,
     images: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Images of the run, for stereo.")] = None,
     quiet: QuietOption = False,

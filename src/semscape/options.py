@@ -175,7 +175,7 @@ class ConvertOptions:
     """`semscape convert`, no stage of a run: how surfaces, prints and stereo pictures are written.
 
     `unit` is that of meshes, "um", "mm" or "nm"; empty means the run's own. `color` is "micrograph" or a colour map of
-    matplotlib. `print_scale` is the magnification of the printed body; NaN means that its longest side gets
+    matplotlib. `print_scale` is the magnification of the printed body; NaN means that its plate's longest side gets
     `print_size_mm`. The stereo picture takes the two views whose tilts differ by what is closest to `stereo_angle_deg`:
     two eyes 65 mm apart look at a page half a metre away under 7 deg.
     """

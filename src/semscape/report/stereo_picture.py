@@ -30,7 +30,7 @@ def rectified_pair(
     series = _series_of(views, images)
     eyes = stereo_views(views.motion, math.radians(angle_deg))
     left, right = stereo_pair(series, views.motion, views.reference, pixel_size_um, eyes)
-    tilts = np.rad2deg(views.motion.tilt_rad)
+    tilts = np.round(np.rad2deg(views.motion.tilt_rad), 2) + 0.0  # no -0.00
     named = [f"{side} {views.names[i]} ({tilts[i]:.2f} deg)" for side, i in zip(("left", "right"), eyes, strict=True)]
     return left, right, f"semscape stereo pair: {named[0]}, {named[1]}"
 
