@@ -6,7 +6,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/setup-done
 CODE := src tests benchmarks examples
 
-.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures clean
+.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
+	simulator-speed clean
 
 help:
 	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
@@ -16,7 +17,10 @@ help:
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
 	@echo "make benchmark      seconds per stage and peak memory, as JSON"
+	@echo "make simulator-realism  simulated beside measured series: the table of docs/simulator.md"
+	@echo "make simulator-speed    seconds per simulated view, as JSON"
 	@echo "make docs-pictures  draw the pictures of docs/ again"
+	@echo "make docs-experiments  run every experiment and write docs/experiments.md"
 	@echo "make clean          remove .venv, caches and the demo"
 
 setup: $(STAMP)
@@ -52,8 +56,19 @@ accuracy: $(STAMP)
 benchmark: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py
 
+simulator-realism: $(STAMP)
+	@$(BIN)/python benchmarks/simulator_realism.py
+
+simulator-speed: $(STAMP)
+	@$(BIN)/python benchmarks/simulator_speed.py
+
 docs-pictures: $(STAMP)
 	@$(BIN)/python benchmarks/docs_pictures.py
+
+# With the measured sets where they lie beside the repository, as in the tests.
+docs-experiments: $(STAMP)
+	@$(BIN)/semscape experiments all --output docs $(addprefix --data ,$(wildcard $(or $(SEMSCAPE_SHARED_DATA),../shared/data)))
+	@rm -f docs/experiments.html
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist demo

@@ -9,7 +9,7 @@ whose grid the height map shares:
 - potamogeton1: a disc drawn by hand on the image, centre (412, 357) px, radius 300 px: the grain lies on a support
   that is as bright as itself. The disc leaves out the outermost rim, which curves away from the beam.
 
-Simulated series are compared with their exact truth (see height_error.py), ours beside OpenCV's StereoSGBM.
+Simulated series are compared with their exact truth (see semscape.evaluate), ours beside OpenCV's StereoSGBM.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from isolated import REAL_SETS, Case, peak_memory_mb, real_set_folder, run_cases
 if TYPE_CHECKING:
     import numpy as np
 
-    from semscape.types import BoolArray, ImageArray
+    from semscape.types import BoolArray, HeightMap, ImageArray
 
 _BLUR_PX = 8.0
 _DISCS = {"potamogeton1": ((412.0, 357.0), 300.0)}
@@ -72,11 +72,10 @@ def measure_real(name: str) -> dict[str, Any]:
 
 def measure_simulated(specimen: str, seed: int) -> dict[str, Any]:
     """Simulate a series at nominal settings, reconstruct it and compare it with its truth."""
-    import numpy as np
-
     import semscape
-    from height_error import height_figures, tilt_figures
-    from rival_sgbm import sgbm_height_map
+    from semscape.dense.rival import sgbm_height_map
+    from semscape.evaluate.height_errors import height_error, height_figures, true_units
+    from semscape.evaluate.motion_errors import tilt_figures
     from semscape.simulate import PRESETS, simulate
 
     series, truth = simulate(specimen, PRESETS["nominal"], rng=seed)
@@ -84,18 +83,22 @@ def measure_simulated(specimen: str, seed: int) -> dict[str, Any]:
     peak = peak_memory_mb()
     rival, rival_seconds = timed(sgbm_height_map, result)
     reconstruction = result.reconstruction
-    relief_px = float(np.nanmax(truth.height_um) - np.nanmin(truth.height_um)) / truth.pixel_size_um
+    view = reconstruction.motion, reconstruction.reference
+    units = true_units(result.height_map, truth)
+
+    def against_truth(height_map: HeightMap) -> dict[str, Any]:
+        return height_figures(height_map, height_error(height_map, *view, truth), units)
+
     return {
         "specimen": specimen,
         "preset": "nominal",
         "seed": seed,
-        "relief_px": round(relief_px, 1),
+        "relief_px": round(units.relief_um / units.pixel_size_um, 1),
         "rms_px": round(reconstruction.rms_px, 4),
-        **tilt_figures(reconstruction, truth),
+        **tilt_figures(*view, truth),
         "height_scale_relative_sigma": round(reconstruction.height_scale_relative_sigma, 5),
-        "semscape": height_figures(result.height_map, reconstruction, truth)
-        | {"surface_seconds": round(_stage_seconds(result, "surface"), 2)},
-        "opencv_sgbm": height_figures(rival, reconstruction, truth) | {"surface_seconds": round(rival_seconds, 2)},
+        "semscape": against_truth(result.height_map) | {"surface_seconds": round(_stage_seconds(result, "surface"), 2)},
+        "opencv_sgbm": against_truth(rival) | {"surface_seconds": round(rival_seconds, 2)},
         "seconds": round(seconds, 2),
         "peak_memory_mb": round(peak, 1),
     }

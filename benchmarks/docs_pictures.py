@@ -1,21 +1,27 @@
-"""Draw the pictures of docs/ (`make docs-pictures`): hillshades of the measured series, and the one of the README.
+"""Draw the pictures of docs/ (`make docs-pictures`): hillshades of the measured series, the one of the README,
+and the pair with a fixed threshold and a contrario.
 
-Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme.
+Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens, matching.
 """
 
 from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL.Image import fromarray
 
 import semscape
 from isolated import REAL_SETS, REPOSITORY, absent, real_set_folder
+from semscape.experiments.matching import FIXED_THRESHOLDS_PX
+from semscape.experiments.matching_pairs import simulated_pair
+from semscape.experiments.study import Setting
 from semscape.report.figures import hillshade_picture
 from semscape.report.hillshade import hillshade
-from semscape.simulate import PRESETS, simulate
+from semscape.simulate import PRESETS, SPECIMENS, acquire, simulate
 from semscape.types import Result
 
 if TYPE_CHECKING:
@@ -26,6 +32,7 @@ _LARGEST_BYTES = 500_000
 _LARGE_BYTES = 400_000
 _COLOURS = 256
 _README_SPECIMEN = "pollen"
+_TILE_PX = 240
 
 
 def draw_real(name: str) -> bytes:
@@ -37,6 +44,24 @@ def draw_readme() -> bytes:
     """Return micrograph, shaded relief and height map of a simulated series side by side."""
     series, _ = simulate(_README_SPECIMEN, PRESETS["nominal"], rng=0)
     return _side_by_side(semscape.reconstruct(series, rng=0))
+
+
+def draw_matching() -> bytes:
+    """Return the matches of a simulated pair that a fixed threshold and the a contrario method keep."""
+    from PIL import Image
+
+    _, figure = simulated_pair(Setting(), FIXED_THRESHOLDS_PX)
+    with Image.open(io.BytesIO(figure.png)) as image:
+        return _png(image.resize((image.width // 2, image.height // 2), Image.Resampling.LANCZOS))
+
+
+def draw_specimens() -> bytes:
+    """Return the specimens of the simulated microscope side by side, and pollen by one backscatter segment."""
+    options = replace(PRESETS["nominal"], tilts_deg=(0.0,), width_px=_TILE_PX, height_px=_TILE_PX, pixel_size_um=0.3)
+    tiles = [simulate(name, options, rng=0)[0].views[0].image for name in SPECIMENS]
+    tiles.append(acquire("pollen", replace(options, detector="bse-4"), rng=0).segments[0].views[0].image)
+    rows = [np.hstack(tiles[start : start + 4]) for start in (0, 4)]
+    return _png(fromarray(np.vstack(rows).astype(np.uint8)))
 
 
 def _side_by_side(result: Result) -> bytes:
@@ -92,16 +117,19 @@ def _png(image: Image) -> bytes:
     return buffer.getvalue()
 
 
+_SIMULATED = {"readme": draw_readme, "specimens": draw_specimens, "matching": draw_matching}
+
+
 def main(names: list[str]) -> None:
     """Draw the pictures that are named, or all."""
     PICTURES.mkdir(parents=True, exist_ok=True)
-    for name in names or (*REAL_SETS, "readme"):
+    for name in names or (*REAL_SETS, *_SIMULATED):
         reason = absent(name) if name in REAL_SETS else None
         if reason:
             print(f"{name}: skipped, {reason}", file=sys.stderr)
             continue
-        path = PICTURES / ("readme.png" if name == "readme" else f"hillshade_{name}.png")
-        picture = draw_readme() if name == "readme" else draw_real(name)
+        path = PICTURES / (f"{name}.png" if name in _SIMULATED else f"hillshade_{name}.png")
+        picture = _SIMULATED[name]() if name in _SIMULATED else draw_real(name)
         picture = _on_white(picture)
         if len(picture) > _LARGEST_BYTES:
             raise SystemExit(f"{path.name} has {len(picture)} bytes, more than {_LARGEST_BYTES}")

@@ -264,6 +264,12 @@ def test_inspect_names_what_is_wrong(tmp_path: Path) -> None:
         (["--tilts", "80"], "within"),
         (["--views", "1"], "'--views'"),
         (["--tilts", "3"], "at least 2 views"),
+        (["--detector", "edx"], "one of se, bse-3, bse-4"),
+        (["--dose", "-1"], "'--dose'"),
+        (["--set", "drift=1"], "the nearest key is 'drift_px'"),
+        (["--set", "drift_px"], "the form is KEY=VALUE"),
+        (["--set", "drift_px=much"], "drift_px takes a float, not 'much'"),
+        (["missing.stl"], "there is no such file"),
     ],
 )
 def test_bad_simulations_end_with_2(tmp_path: Path, arguments: list[str], message: str) -> None:
@@ -281,6 +287,27 @@ def test_simulate_writes_a_series_that_inspect_understands(tmp_path: Path) -> No
     views = json.loads(run("inspect", folder, "--json").stdout)["views"]
     assert [view["tilt_deg"] for view in views] == [-4.0, 0.0, 4.0]
     assert (views[0]["width"], views[0]["height"]) == (64, 48)
+
+
+def test_simulate_images_a_file_of_ones_own_by_each_segment(tmp_path: Path) -> None:
+    heights = np.fromfunction(lambda row, col: 0.3 * np.sin(row / 5) * np.cos(col / 7), (120, 160))
+    np.savez(tmp_path / "waves.npz", height_um=heights, pixel_size_um=0.2)
+    folder = tmp_path / "series"
+    settings = ("--dose", 50, "--set", "charging=0", "--set", "tilts_deg=-2,2", "--set", "working_distance_um=2000")
+    done = run("simulate", tmp_path / "waves.npz", "-o", folder, "--size", 64, "--detector", "bse-3", *settings)
+    assert done.exit_code == 0, done.output
+    told = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    assert told["settings"]["specimen"] == "waves.npz"
+    assert (told["settings"]["charging"], told["settings"]["dose"], told["working_distance_um"]) == (0, 50, 2000)
+    assert told["pixel_size_um"] == pytest.approx(119 * 0.2 / 64 / 1.1)
+    assert [view["stage_tilt_deg"] for view in told["views"]] == pytest.approx([-2, 2])
+    parts = sorted(path.name for path in (folder / "segments").iterdir())
+    assert parts == [f"view_{v:02d}_{t}deg_{s}.tif" for v, t in enumerate(("-02.00", "+02.00")) for s in "ABC"]
+    views = json.loads(run("inspect", folder, "--json").stdout)["views"]
+    assert [view["tilt_deg"] for view in views] == [-2.0, 2.0]
+    # The same folder again, without segments: none of the old ones stay.
+    assert run("simulate", "-o", folder, "--size", 32).exit_code == 0
+    assert not (folder / "segments").exists()
 
 
 def test_simulate_fills_the_folder_one_stands_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

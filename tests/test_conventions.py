@@ -25,6 +25,8 @@ from semscape.io.micrograph import read_micrograph
 from semscape.options import Options
 from semscape.report import report_to_dict
 from semscape.robust.acransac import ac_ransac
+from semscape.robust.models import AFFINE
+from semscape.robust.pair_geometry import two_view_geometry
 from semscape.simulate import PRESETS, simulate
 from semscape.types import Keypoints, Motion
 from synthetic_result import make_result
@@ -193,7 +195,9 @@ def test_x2_f_x1_is_zero_and_pairs_rise() -> None:
     points = RNG.normal(0, 100, (300, 3)) * (1, 1, 0.4)
     xy1, xy2 = (points @ matrix.T + 200 for matrix in camera_matrices(motion(70.0, [-5.0, 4.0])))
     xy2 = xy2 + np.array([3.0, 17.0])
-    geometry = ac_ransac((0, 1), xy1, xy2, (400, 400), max_trials=200, rng=np.random.default_rng(0))
+    geometry = two_view_geometry(
+        (0, 1), xy1, xy2, kind="affine", shapes=((400, 400), (400, 400)), rng=np.random.default_rng(0), max_trials=200
+    )
     one = np.ones((300, 1))
     product = np.einsum("ni,ij,nj->n", np.hstack([xy2, one]), geometry.matrix, np.hstack([xy1, one]))
     np.testing.assert_allclose(product, 0, atol=1e-6)
@@ -268,7 +272,7 @@ def test_misuse_raises_value_error_and_data_a_semscape_error_with_numbers() -> N
     with pytest.raises(ValueError, match=r"ratio is 1\.5"):
         match((0, 1), empty, empty, ratio=1.5)
     with pytest.raises(TooFewMatchesError, match=r"3 matches.* at least 5"):
-        ac_ransac((0, 1), np.ones((3, 2)), np.ones((3, 2)), (9, 9), max_trials=9, rng=RNG)
+        ac_ransac(AFFINE, np.ones((3, 2)), np.ones((3, 2)), shapes=((9, 9), (9, 9)), rng=RNG, max_trials=9)
     assert issubclass(NoAnswerError, SemscapeError)
     assert issubclass(BadInputError, SemscapeError)
     assert not issubclass(SemscapeError, ValueError)

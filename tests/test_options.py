@@ -78,5 +78,5 @@ def test_settings_are_checked_together() -> None:
 
 
 def test_an_unknown_detector_names_the_nearest_one() -> None:
-    with pytest.raises(BadInputError, match=r"option features\.detector has no choice 'surf'.*'sift'"):
-        Options().with_settings(["features.detector=surf"])
+    with pytest.raises(BadInputError, match=r"option features\.detector has no choice 'surff'.*'surf'"):
+        Options().with_settings(["features.detector=surff"])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,15 +60,19 @@ def simulation_options(
     views: int | None,
     step: float | None,
     size: str | None,
-    pixel_size_um: float | None,
+    settings: list[str] | None,
+    **given: Any,
 ) -> SimulationOptions:
-    """Return the simulated microscope's settings: a preset, changed by the flags that are given."""
+    """Return the simulated microscope's settings: a preset, changed by --set, then by the flags that are given.
+
+    `given` holds plain values by the names of the options, None where a flag is left out.
+    """
     from semscape.simulate import PRESETS, SimulationOptions
 
     if preset is not None and preset not in PRESETS:
         raise BadInputError(f"--preset {preset!r} is not known; there are: {', '.join(PRESETS)}")
     options = SimulationOptions() if preset is None else PRESETS[preset]
-    changes: dict[str, Any] = {}
+    changes: dict[str, Any] = _simulation_settings(settings or [], options)
     if tilts is not None:
         if views is not None or step is not None:
             raise BadInputError("--tilts says all about the tilts; leave out --views and --step")
@@ -82,8 +87,7 @@ def simulation_options(
         if not (width.isdecimal() and (height or width).isdecimal()):
             raise BadInputError(f"--size {size!r} is not a size in px, like 512 or 640x480")
         changes |= {"width_px": int(width), "height_px": int(height or width)}
-    if pixel_size_um is not None:
-        changes["pixel_size_um"] = _positive("--pixel-size-um", pixel_size_um)
+    changes |= {name: value for name, value in given.items() if value is not None}
     options = replace(options, **changes)
     if len(options.tilts_deg) < 2:
         raise BadInputError(f"a tilt series needs at least 2 views, got {len(options.tilts_deg)}")
@@ -110,6 +114,22 @@ def measure_request(
     }
     given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
     return MeasureRequest(options=MeasureOptions(**given), **values)
+
+
+def _simulation_settings(settings: list[str], options: SimulationOptions) -> dict[str, Any]:
+    """Return what `--set KEY=VALUE` says, each value of the kind that its option has."""
+    values: dict[str, Any] = {}
+    for setting in settings:
+        name, equals, text = (part.strip() for part in setting.partition("="))
+        kinds = {item.name: type(getattr(options, item.name)) for item in fields(options)}
+        if name not in kinds or not equals:
+            near = difflib.get_close_matches(name, kinds, 1, 0.0)[0]
+            raise BadInputError(f"--set {setting!r}: the form is KEY=VALUE, and the nearest key is {near!r}")
+        try:
+            values[name] = _numbers("--set", text) if kinds[name] is tuple else kinds[name](text)
+        except ValueError:
+            raise BadInputError(f"--set {setting!r}: {name} takes a {kinds[name].__name__}, not {text!r}") from None
+    return values
 
 
 def _numbers(flag: str, text: str) -> tuple[float, ...]:

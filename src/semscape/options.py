@@ -62,7 +62,10 @@ _RANGES = {
     "run.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
-_CHOICES = {"features.detector": ["sift"]}
+_CHOICES = {
+    "features.detector": ["sift", "surf", "orb", "brief"],
+    "robust.model": ["affine", "fundamental", "homography", "essential", "auto"],
+}
 
 
 class _Stage:
@@ -88,20 +91,31 @@ class InputOptions:
 
 @dataclass(frozen=True)
 class FeaturesOptions(_Stage):
-    """Keypoints: detector, contrast threshold after local normalization, and the matching rules."""
+    """Keypoints: detector, contrast threshold after local normalization, and the matching rules.
+
+    Where there are more than `max_keypoints`, the strongest are kept, or with `spread` those that are the
+    strongest within the largest radius about them. `guided` adds a second pass along the epipolar lines.
+    """
 
     detector: str = "sift"
     contrast_threshold: float = 0.01
     normalization_sigma_px: float = 16.0
     max_keypoints: int = 40_000
+    spread: bool = False
     ratio: float = 0.8
+    guided: bool = False
 
 
 @dataclass(frozen=True)
 class RobustOptions(_Stage):
-    """A contrario RANSAC per pair: largest number of trials, and the least number of inliers to keep a pair."""
+    """A contrario RANSAC per pair: the model, most trials, and the least number of inliers to keep a pair.
 
-    max_trials: int = 2000
+    `limit_parallax` drops inliers of the affine model that stand far out of the relief of the others.
+    """
+
+    model: str = "affine"
+    limit_parallax: bool = False
+    max_trials: int = 10_000
     min_inliers: int = 24
 
 

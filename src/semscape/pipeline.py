@@ -19,6 +19,7 @@ from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
 from semscape.options import Options, RunOptions
 from semscape.report.summary import build_report, pair_figures
+from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import calibrate
 from semscape.sfm.plausibility import require_tilts
 from semscape.sfm.tracks import build_tracks
@@ -130,11 +131,21 @@ def _match_all(
     series: TiltSeries, keypoints: tuple[Keypoints, ...], options: Options, seed: int, mapper: Mapper
 ) -> tuple[tuple[Matches, ...], tuple[TwoViewGeometry, ...], list[str]]:
     """Match every pair; a pair that shares no scene is a line among the failures."""
+    calibrations = pinhole_calibrations(series) if options.robust.model == "essential" else None
 
     def attempt(pair: Pair) -> tuple[Matches, TwoViewGeometry] | SemscapeError:
         try:
             rng = _stream(seed, "match", *pair)
-            return match_pair(pair, keypoints, series.names, series.shape, options.features, options.robust, rng)
+            return match_pair(
+                pair,
+                keypoints,
+                series.names,
+                series.shape,
+                options.features,
+                options.robust,
+                rng,
+                (calibrations[pair[0]], calibrations[pair[1]]) if calibrations else None,
+            )
         except SemscapeError as error:
             return error
 

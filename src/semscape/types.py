@@ -168,7 +168,9 @@ class TwoViewGeometry(_Value):
 
     `inliers` (M,) bool and `residual_px` (M,) belong to the pair's putative matches; `threshold_px` is the
     distance to the epipolar line that the a contrario method chose; `log10_nfa` is negative when the model
-    is meaningful.
+    is meaningful. For the kind "homography" x2 ~ `matrix` x1, and residuals are distances to points.
+    `log10_nfa_by_kind` holds the figure of every kind that was tried, of which the least won; `planar` tells
+    that the inliers show no parallax.
     """
 
     pair: tuple[int, int]
@@ -179,6 +181,14 @@ class TwoViewGeometry(_Value):
     threshold_px: float
     log10_nfa: float
     n_trials: int
+    log10_nfa_by_kind: Mapping[str, float] = field(default_factory=dict)
+    planar: bool = False
+
+    @property
+    def nfa_margin(self) -> float:
+        """By how many powers of ten the NFA is below that of the next best kind; NaN where no other was tried."""
+        others = [value for kind, value in self.log10_nfa_by_kind.items() if kind != self.kind]
+        return min(others) - self.log10_nfa if others else np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,6 +295,8 @@ class SimulationTruth(_Value):
     `motion` is the true motion (its tilts are the true ones), `stage_tilt_rad` (V,) what the stage claims,
     `height_um` (H, W) the surface over the grid `world_from_grid` at zero tilt (highest point under each
     pixel, NaN where there is none), `normals` (H, W, 3), `visible` (V, H, W) where each view sees that point.
+    `skew` is each view's shift along x per px of y, () for none; `working_distance_um` is finite for perspective.
+    `mesh` is the whole surface where it is more than a height map.
     """
 
     motion: Motion
@@ -296,6 +308,28 @@ class SimulationTruth(_Value):
     world_from_grid: FloatArray
     seed: int
     settings: Mapping[str, Any] = field(default_factory=dict)
+    skew: tuple[float, ...] = ()
+    working_distance_um: float = np.inf
+    mesh: SurfaceMesh | None = None
+
+    def select(self, indices: tuple[int, ...]) -> SimulationTruth:
+        """Return the truth of the views `indices`, in that order; the surface is the same."""
+        at = list(indices)
+        motion = replace(
+            self.motion,
+            tilt_rad=self.motion.tilt_rad[at],
+            roll_rad=self.motion.roll_rad[at],
+            scale_px_per_um=self.motion.scale_px_per_um[at],
+            anisotropy=self.motion.anisotropy[at],
+            translation_px=self.motion.translation_px[at],
+        )
+        return replace(
+            self,
+            motion=motion,
+            stage_tilt_rad=self.stage_tilt_rad[at],
+            visible=self.visible[at],
+            skew=tuple(self.skew[i] for i in at) if self.skew else (),
+        )
 
 
 @dataclass(frozen=True, eq=False)

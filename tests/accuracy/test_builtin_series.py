@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import semscape
-from height_error import height_figures, tilt_figures
+from semscape.evaluate.height_errors import height_error, height_figures, true_units
+from semscape.evaluate.motion_errors import tilt_figures
 from semscape.simulate import simulate
 from semscape.types import Result, SimulationTruth
 
@@ -27,12 +28,14 @@ def built_in() -> tuple[Result, SimulationTruth]:
 @pytest.fixture(scope="module")
 def heights(built_in: tuple[Result, SimulationTruth]) -> dict[str, Any]:
     result, truth = built_in
-    return height_figures(result.height_map, result.reconstruction, truth)
+    motion, reference = result.reconstruction.motion, result.reconstruction.reference
+    error = height_error(result.height_map, motion, reference, truth)
+    return height_figures(result.height_map, error, true_units(result.height_map, truth))
 
 
 def test_the_images_fix_the_tilts(built_in: tuple[Result, SimulationTruth]) -> None:
     result, truth = built_in
-    figures = tilt_figures(result.reconstruction, truth)
+    figures = tilt_figures(result.reconstruction.motion, result.reconstruction.reference, truth)
     assert 0.0005 < figures["largest_tilt_error_that_images_show_deg"] < 0.05
     assert figures["tilt_rms_error_deg"] < figures["stage_tilt_rms_error_deg"]
     error = result.reconstruction.motion.tilt_rad - truth.motion.tilt_rad

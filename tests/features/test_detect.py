@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from rendered_blobs import blobs, offsets
+from scipy.spatial import cKDTree
 
 from semscape.errors import TooFewMatchesError
-from semscape.features.detect import DESCRIPTOR_LEVELS, DETECTORS, detect, normalize_contrast
+from semscape.features.detect import DETECTORS, detect
+from semscape.features.normalize import normalize_contrast
+from semscape.features.sift import DESCRIPTOR_LEVELS
 from semscape.options import FeaturesOptions
 from semscape.simulate import SimulationOptions, simulate
 from semscape.types import Micrograph
 
 OPTIONS = FeaturesOptions()
-
-
-def blobs(centres: np.ndarray, sigma: float, shape: tuple[int, int]) -> np.ndarray:
-    """Return hills and pits in turn: alone on a flat field a hill would be clipped by the local normalization."""
-    rows, cols = np.indices(shape)
-    image = np.full(shape, 100.0)
-    for index, (x, y) in enumerate(centres):
-        image += (60 if index % 2 else -60) * np.exp(-((cols - x) ** 2 + (rows - y) ** 2) / (2 * sigma**2))
-    return image.astype(np.float32)
 
 
 def micrograph(image: np.ndarray, mask: np.ndarray | None = None) -> Micrograph:
@@ -42,25 +38,6 @@ def lattice(sigma: float) -> tuple[np.ndarray, np.ndarray]:
     return centres, blobs(centres, sigma, (size, size))
 
 
-def offsets(xy: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Return the offset (F, 2) of the nearest keypoint from each centre that has one within 2 px."""
-    offset = xy[None] - centres[:, None]
-    nearest = np.linalg.norm(offset, axis=2).argmin(axis=1)
-    offset = offset[np.arange(len(centres)), nearest]
-    return offset[np.linalg.norm(offset, axis=1) < 2]
-
-
-@pytest.mark.parametrize("sigma", [3.0, 4.5])
-def test_the_detector_finds_a_blob_at_its_centre(sigma: float) -> None:
-    """Half-pixel errors, from up-sampling or from another corner convention, would be ten times the limit."""
-    centres, image = lattice(sigma)
-    found = DETECTORS["sift"](image.astype(np.uint8), np.ones(image.shape, bool), OPTIONS)
-    error = offsets(found.xy, centres)
-    assert len(error) >= 0.9 * len(centres)
-    assert np.abs(error.mean(axis=0)).max() < 0.01
-    assert np.abs(error).max() < 0.05
-
-
 @pytest.mark.parametrize("sigma", [3.0, 4.5])
 def test_normalization_shifts_no_blob(sigma: float) -> None:
     """Isolated blobs, whose tops the normalization clips: blurred, but not shifted."""
@@ -71,44 +48,62 @@ def test_normalization_shifts_no_blob(sigma: float) -> None:
     assert error.std() < 0.1
 
 
-def test_keypoints_keep_clear_of_the_mask(view: Micrograph) -> None:
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_keypoints_keep_clear_of_the_mask(view: Micrograph, detector: str) -> None:
+    options = replace(OPTIONS, detector=detector, max_keypoints=1000)
     mask = view.mask.copy()
     mask[-60:] = False
     mask[:, 100:104] = False
-    found = detect(micrograph(view.image, mask), OPTIONS)
+    found = detect(micrograph(view.image, mask), options)
     assert len(found) > 50
+    # The half side of each descriptor's square, in px and in scales.
+    reach = {"sift": 6 * found.scale_px, "surf": 10 * found.scale_px, "orb": 31 / 3 * found.scale_px}.get(detector, 28)
     rows, cols = np.nonzero(~mask)
-    for (x, y), scale in zip(found.xy, found.scale_px, strict=True):
-        clearance = np.hypot(cols - x, rows - y).min()
-        assert clearance > max(6 * scale, 3.0) - 1.5  # the keypoint's pixel against its centre
+    clearance = np.array([np.hypot(cols - x, rows - y).min() for x, y in found.xy])
+    assert (clearance > np.maximum(reach, 3.0) - 1.5).all()  # the keypoint's pixel against its centre
     # What lies under the mask must not matter at all.
     burnt = view.image.copy()
     burnt[~mask] = 255 * (np.random.default_rng(0).uniform(size=int((~mask).sum())) > 0.5)
-    again = detect(micrograph(burnt, mask), OPTIONS)
+    again = detect(micrograph(burnt, mask), options)
     np.testing.assert_array_equal(again.xy, found.xy)
     np.testing.assert_array_equal(again.descriptors, found.descriptors)
 
 
-def test_brightness_and_contrast_change_nothing_much(view: Micrograph) -> None:
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_brightness_and_contrast_change_nothing_much(view: Micrograph, detector: str) -> None:
     """The operator's knobs: the normalization takes them out, but for the rounding to 8 bits."""
-    found = detect(view, OPTIONS)
-    dim = detect(replace(view, image=(0.25 * view.image + 3000).astype(np.float32)), OPTIONS)
+    options = replace(OPTIONS, detector=detector)
+    found = detect(view, options)
+    dim = detect(replace(view, image=(0.02 * view.image + 300).astype(np.float32)), options)
     assert len(dim) == pytest.approx(len(found), rel=0.02)
-    nearest = np.linalg.norm(found.xy[:, None] - dim.xy[None], axis=2).min(axis=1)
+    nearest, _ = cKDTree(dim.xy).query(found.xy)
     assert np.mean(nearest < 0.01) > 0.95
 
 
-def test_keypoints_are_sorted_and_repeat_exactly(view: Micrograph) -> None:
-    found, again = detect(view, OPTIONS), detect(view, OPTIONS)
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_keypoints_are_sorted_and_repeat_exactly(view: Micrograph, detector: str) -> None:
+    options = replace(OPTIONS, detector=detector)
+    found = detect(view, options)
     order = np.lexsort((found.orientation_rad, found.scale_px, found.xy[:, 0], found.xy[:, 1]))
     np.testing.assert_array_equal(order, np.arange(len(found)))
-    np.testing.assert_array_equal(found.descriptors, again.descriptors)
-    assert found.kind == "sift"
-    assert found.descriptors.shape == (len(found), 128)
+    assert found.kind == detector
+    dimension, kind = {"sift": (128, np.float32), "surf": (64, np.float32)}.get(detector, (32, np.uint8))
+    assert (found.descriptors.shape, found.descriptors.dtype) == ((len(found), dimension), kind)
+    assert len(found) > 100
+    assert (found.response >= 0).all()
+    threads = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1 if threads > 1 else 4)
+        again = detect(view, options)
+    finally:
+        cv2.setNumThreads(threads)
+    for name in ("xy", "scale_px", "orientation_rad", "response", "descriptors"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
 
 
-def test_descriptors_are_whole_numbers_whose_products_are_exact(view: Micrograph) -> None:
-    descriptors = detect(view, OPTIONS).descriptors
+@pytest.mark.parametrize("detector", ["sift", "surf"])
+def test_descriptors_are_whole_numbers_whose_products_are_exact(view: Micrograph, detector: str) -> None:
+    descriptors = detect(view, replace(OPTIONS, detector=detector)).descriptors
     assert descriptors.dtype == np.float32
     np.testing.assert_array_equal(descriptors, np.rint(descriptors))
     squared = (descriptors.astype(np.float64) ** 2).sum(axis=1)
@@ -122,9 +117,21 @@ def test_the_strongest_keypoints_are_kept(view: Micrograph) -> None:
     assert few.response.min() >= np.sort(every.response)[-100]
 
 
-def test_a_featureless_image_says_so() -> None:
-    with pytest.raises(TooFewMatchesError, match=r"a\.tif: no keypoint found in 64 x 48 px"):
-        detect(micrograph(np.full((48, 64), 9.0, np.float32)), OPTIONS)
+def test_spread_keypoints_cover_more_of_the_image(view: Micrograph) -> None:
+    """Of 16 x 16 cells, how many hold a keypoint; the cap is met exactly both ways."""
+    covered = {}
+    for spread in (False, True):
+        found = detect(view, replace(OPTIONS, max_keypoints=200, spread=spread))
+        assert len(found) == 200
+        covered[spread] = len(np.unique(found.xy // 16, axis=0))
+    assert covered[True] > 1.15 * covered[False]
+
+
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_a_featureless_image_says_so(detector: str) -> None:
+    for shape in ((48, 64), (200, 150)):
+        with pytest.raises(TooFewMatchesError, match=rf"a\.tif: no keypoint found in {shape[1]} x {shape[0]} px"):
+            detect(micrograph(np.full(shape, 9.0, np.float32)), replace(OPTIONS, detector=detector))
 
 
 def test_an_unknown_detector_is_misuse(view: Micrograph) -> None:

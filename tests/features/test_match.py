@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from semscape.features.match import match, two_nearest
+from semscape.features.match import match
 from semscape.types import Keypoints
 
 
@@ -18,28 +18,6 @@ def keypoints(described: np.ndarray) -> Keypoints:
     return Keypoints(np.column_stack([np.arange(len(described)), one]), one, one, one, described, "sift")
 
 
-@pytest.mark.parametrize(("n1", "n2"), [(2, 2), (37, 11), (513, 700), (1500, 60)])
-@pytest.mark.parametrize("levels", [2, 200])  # two levels make ties the rule
-def test_two_nearest_equals_brute_force(n1: int, n2: int, levels: int) -> None:
-    one, two = descriptors(n1, 0, levels, 8), descriptors(n2, 1, levels, 8)
-    nearest, squared, second, back = two_nearest(one, two)
-    distance = ((one[:, None].astype(np.float64) - two[None]) ** 2).sum(axis=2)
-    # argmin and a stable sort take the lower index of equal distances
-    np.testing.assert_array_equal(nearest, distance.argmin(axis=1))
-    np.testing.assert_array_equal(back, distance.argmin(axis=0))
-    ordered = np.sort(distance, axis=1)
-    np.testing.assert_array_equal(squared, ordered[:, 0])
-    np.testing.assert_array_equal(second, ordered[:, 1])
-
-
-def test_the_lower_index_wins_a_tie() -> None:
-    one = np.array([[1, 0, 0]], np.float32)
-    two = np.array([[0, 5, 0], [0, 1, 0], [0, 0, 1], [2, 0, 9]], np.float32)
-    nearest, squared, second, back = two_nearest(one, two)
-    assert (nearest[0], squared[0], second[0]) == (1, 2, 2)
-    assert back.tolist() == [0, 0, 0, 0]
-
-
 def test_matches_are_mutual_and_pass_the_ratio() -> None:
     one = descriptors(300, 0)
     two = np.concatenate([one[100:200] + np.random.default_rng(1).integers(-3, 4, (100, 32)), descriptors(150, 2)])
@@ -50,6 +28,22 @@ def test_matches_are_mutual_and_pass_the_ratio() -> None:
     length = np.linalg.norm(one[0])
     expected = np.linalg.norm(one[100] - two[0]) / length
     assert found.distance[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_binary_descriptors_match_by_their_bits() -> None:
+    rng = np.random.default_rng(0)
+    one = rng.integers(0, 256, (200, 32)).astype(np.uint8)
+    two = one[50:150] ^ (rng.random((100, 32)) < 0.05).astype(np.uint8)
+    found = match((0, 1), keypoints(one), keypoints(two), ratio=0.8)
+    np.testing.assert_array_equal(found.indices, np.column_stack([np.arange(50, 150), np.arange(100)]))
+    np.testing.assert_array_equal(found.distance, np.bitwise_count(one[50:150] ^ two).sum(axis=1) / 256)
+
+
+def test_the_ratio_of_bits_is_that_of_distances() -> None:
+    one = np.array([[0], [0b11111111]], np.uint8)
+    two = np.array([[0b1], [0b11]], np.uint8)  # at 1 and 2 bits from the first
+    assert match((0, 1), keypoints(one), keypoints(two), ratio=0.6).indices.tolist() == [[0, 0]]
+    assert len(match((0, 1), keypoints(one), keypoints(two), ratio=0.4)) == 0
 
 
 def test_ambiguous_matches_fail_the_ratio() -> None:

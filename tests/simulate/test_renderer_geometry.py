@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from semscape.simulate import PRESETS, SimulationOptions, Specimen, simulate
-from semscape.simulate.cast import cast_rays
+from semscape.simulate.cast import block_tops, cast_rays
 
 PIXEL = 0.1
 SIZE = 96
@@ -114,7 +114,7 @@ def test_cast_meets_a_slope_where_the_line_and_the_plane_do(tilt_deg: float) -> 
     lean = np.tan(np.deg2rad(tilt_deg)) * np.array([[1.0, 0.5]])
     origin = np.array([[30.0, 20.0], [25.5, 30.25], [28.0, 22.75]])
     hit = np.empty((3, 3))
-    cast_rays(height, origin, lean, float(height.max()), float(height.min()), hit)
+    cast_rays(height, block_tops(height), origin, lean, float(height.max()), float(height.min()), hit)
     z = (origin @ [0.3, 0.1] - 10) / (1 - lean[0] @ [0.3, 0.1])
     np.testing.assert_allclose(hit[:, 2], z, atol=2e-5)
     np.testing.assert_allclose(hit[:, :2], origin + z[:, None] * lean, atol=1e-4)
@@ -125,7 +125,7 @@ def test_cast_finds_the_first_of_two_walls_and_misses_off_the_grid() -> None:
     height[:, [12, 25]] = 5.0  # two thin walls, as roofs over one cell on each side
     hit = np.empty((2, 3))
     # Seen from the right: the ray descends towards smaller columns and must stop at the wall at 25, not at 12.
-    cast_rays(height, np.array([[8.0, 5.0], [-900.0, 5.0]]), np.array([[8.0, 0.0]]), 5.0, 0.0, hit)
+    cast_rays(height, block_tops(height), np.array([[8.0, 5.0], [-900.0, 5.0]]), np.array([[8.0, 0.0]]), 5.0, 0.0, hit)
     # Roof between 25 and 26: z = 5 (26 - col), ray: col = 8 + 8 z.
     assert hit[0, 2] == pytest.approx(5 * 18 / 41, abs=1e-4)
     assert hit[0, 0] == pytest.approx(8 + 8 * hit[0, 2], abs=1e-4)

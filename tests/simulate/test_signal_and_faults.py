@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from semscape.simulate import PRESETS, simulate
+from semscape.simulate import PRESETS, SimulationOptions, simulate
+from semscape.simulate.camera import ScanCamera, scan_cameras
 from semscape.simulate.faults import blur_beam, burn_data_bar, detect, digitize, scan_offsets
 from semscape.simulate.render import Scene, render_signal
 from semscape.simulate.series import draw_motion, specimen_size
@@ -34,9 +36,10 @@ def test_yield_of_a_tilted_plane_is_the_secant_of_its_angle_to_the_beam(slope_de
     height = np.broadcast_to(np.tan(np.deg2rad(slope_deg)) * x, (301, 301))
     specimen = Specimen("slope", np.ascontiguousarray(height, dtype=np.float32), 0.05, 0)
     c, s = np.cos(np.deg2rad(tilt_deg)), np.sin(np.deg2rad(tilt_deg))
-    matrix = np.array([[c, 0.0, s], [0.0, -1.0, 0.0]]) / 0.1
+    matrix = np.array([[c, 0.0, s], [0.0, -1.0, 0.0]])
     pose = (np.pi / 2, float(np.deg2rad(tilt_deg)))
-    signal = render_signal(Scene(specimen, BARE), matrix, np.array([31.5, 23.5]), pose, np.zeros((48, 2)))
+    camera = ScanCamera(np.vstack([matrix, [s, 0.0, -c]]), 10 * np.eye(2), np.array([31.5, 23.5]))
+    (signal,), _ = render_signal(Scene(specimen, BARE), camera, pose, np.zeros((48, 2)))
     np.testing.assert_allclose(signal[4:-4, 4:-4], 1 / np.cos(np.deg2rad(slope_deg - tilt_deg)), rtol=1e-4)
 
 
@@ -45,9 +48,10 @@ def test_detector_shading_stays_in_the_lab_while_the_specimen_tilts() -> None:
     specimen = Specimen("plane", np.zeros((301, 301), dtype=np.float32), 0.05, 0)
     for tilt_deg in (-20.0, 20.0):
         c, s = np.cos(np.deg2rad(tilt_deg)), np.sin(np.deg2rad(tilt_deg))
-        matrix = np.array([[c, 0.0, s], [0.0, -1.0, 0.0]]) / 0.1
+        matrix = np.array([[c, 0.0, s], [0.0, -1.0, 0.0]])
         pose = (np.pi / 2, float(np.deg2rad(tilt_deg)))
-        signal = render_signal(Scene(specimen, options), matrix, np.array([31.5, 23.5]), pose, np.zeros((48, 2)))
+        camera = ScanCamera(np.vstack([matrix, [s, 0.0, -c]]), 10 * np.eye(2), np.array([31.5, 23.5]))
+        (signal,), _ = render_signal(Scene(specimen, options), camera, pose, np.zeros((48, 2)))
         # The normal leans by sin(tilt) towards the detector on the right; the yield is 1 / cos(tilt).
         np.testing.assert_allclose(signal[4:-4, 4:-4], (1 + 0.5 * s) / c, rtol=1e-4)
 
@@ -79,7 +83,7 @@ def test_digitize_gives_whole_grey_levels_between_black_and_white() -> None:
 def test_blur_spreads_a_point_to_the_variance_of_the_beam() -> None:
     point = np.zeros((41, 41))
     point[20, 20] = 1.0
-    blurred = blur_beam(point, 1.5)
+    blurred = blur_beam(point, np.zeros(point.shape), replace(SMALL, blur_px=1.5))
     x = np.arange(41) - 20
     assert blurred.sum() == pytest.approx(1.0)
     assert (blurred.sum(axis=0) * x**2).sum() == pytest.approx(1.5**2, rel=0.02)
@@ -104,6 +108,7 @@ def test_data_bar_covers_the_bottom_alone() -> None:
 MOTION_FAULTS = ("scale_drift", "anisotropy", "roll_deg", "stage_error_deg", "shift_px")
 IMAGE_FAULTS = {
     "blur_px": 1.0,
+    "defocus": 0.1,
     "dose": 100.0,
     "line_noise": 0.05,
     "jitter_px": 0.3,
@@ -124,6 +129,18 @@ def test_image_faults_act_and_switch_off_alone() -> None:
         np.testing.assert_array_equal(faulty_truth.motion.tilt_rad, truth.motion.tilt_rad)
 
 
+# What belongs to the signal is on in every preset, and each effect can be taken away alone.
+SIGNAL_EFFECTS = ("edge_gain", "detector_asymmetry", "cavity", "texture", "texture_bump")
+
+
+@pytest.mark.parametrize("name", SIGNAL_EFFECTS)
+def test_effects_of_the_signal_act_and_switch_off_alone(name: str) -> None:
+    bare = replace(SMALL, **dict.fromkeys(SIGNAL_EFFECTS, 0.0))
+    without = simulate("spheres", bare, rng=4)[0].views[0].image
+    with_it = simulate("spheres", replace(bare, **{name: getattr(SMALL, name)}), rng=4)[0].views[0].image
+    assert np.mean(with_it != without) > 0.01
+
+
 @pytest.mark.parametrize("name", MOTION_FAULTS)
 def test_motion_faults_act_and_switch_off_alone(name: str) -> None:
     ideal = simulate("spheres", SMALL, rng=4)[1].motion
@@ -141,10 +158,15 @@ def test_motion_faults_act_and_switch_off_alone(name: str) -> None:
         assert same == (fault != name), attribute
 
 
+def cameras_of(options: SimulationOptions, seed: int) -> tuple[ScanCamera, ...]:
+    motion, _, skew = draw_motion(options, seed)
+    return scan_cameras(motion, skew, np.inf)
+
+
 def test_faults_leave_the_specimen_alone() -> None:
     # The size of the piece decides its random numbers: at the default image size usual faults may not change it.
     sizes = {
-        specimen_size(options, draw_motion(options, seed)[0])
+        specimen_size(options, cameras_of(options, seed))
         for options in (PRESETS["ideal"], PRESETS["nominal"])
         for seed in range(20)
     }
@@ -157,3 +179,15 @@ def test_ideal_motion_is_what_was_asked_for() -> None:
     np.testing.assert_allclose(truth.motion.translation_px, [[31.5, 23.5]] * 2)
     np.testing.assert_allclose(truth.motion.scale_px_per_um, 10.0)
     np.testing.assert_array_equal(truth.stage_tilt_rad, truth.motion.tilt_rad)
+
+
+def test_the_page_tells_the_strengths_of_the_presets() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text(encoding="utf-8")
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| `")]
+    told = {}
+    for names, _, *cells in (row for row in rows if len(row) == 5):
+        columns = [[float(value) for value in cell.split(",")] for cell in cells]
+        told |= dict(zip(names.replace("`", "").split(", "), zip(*columns, strict=True), strict=True))
+    assert set(MOTION_FAULTS) | set(IMAGE_FAULTS) | {"cavity", "edge_gain", "data_bar_rows"} <= set(told)
+    for name, values in told.items():
+        assert values == tuple(getattr(PRESETS[preset], name) for preset in ("ideal", "nominal", "hard")), name

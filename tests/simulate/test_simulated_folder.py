@@ -14,7 +14,7 @@ import trimesh
 from semscape.errors import BadInputError
 from semscape.io.series import load_series
 from semscape.io.simulated import read_truth, write_simulated_series
-from semscape.simulate import PRESETS, simulate
+from semscape.simulate import PRESETS, MeshSpecimen, simulate
 from semscape.types import SimulationTruth, TiltSeries
 
 OPTIONS = replace(PRESETS["nominal"], tilts_deg=(-6.0, -2.95, 6.0), width_px=160, height_px=128)
@@ -32,6 +32,8 @@ def test_truth_comes_back(tmp_path: Path, simulation: tuple[TiltSeries, Simulati
     for key, value in asdict(truth.motion).items():
         np.testing.assert_allclose(getattr(back.motion, key), value, rtol=1e-14, atol=1e-16)
     np.testing.assert_allclose(back.stage_tilt_rad, truth.stage_tilt_rad, rtol=1e-14)
+    assert back.skew == pytest.approx(truth.skew, rel=1e-14)
+    assert back.working_distance_um == np.inf
     for key in ("height_um", "normals", "visible", "world_from_grid"):
         np.testing.assert_array_equal(getattr(back, key), getattr(truth, key))
     assert (back.seed, back.pixel_size_um, dict(back.settings)) == (5, 0.1, dict(truth.settings))
@@ -62,6 +64,31 @@ def test_reader_of_micrographs_understands_the_folder(tmp_path: Path, data_bar_r
         assert there.metadata.accelerating_voltage_kv == here.metadata.accelerating_voltage_kv
         assert there.metadata.magnification == pytest.approx(here.metadata.magnification, abs=0.5)
         assert there.metadata.source["tilt_rad"] == "file"
+
+
+def test_header_tells_the_scan_rotation_as_the_microscope_does(tmp_path: Path) -> None:
+    for rotation, switch in ((0.0, "Off"), (90.0, "On"), (12.25, "On")):
+        options = replace(OPTIONS, scan_rotation_deg=rotation, axis_deg=0.0, width_px=32, height_px=32)
+        loaded = load_series(write_simulated_series(tmp_path / "out", *simulate("spheres", options)))
+        metadata = loaded.views[0].metadata
+        assert metadata.raw["DP_SCAN_ROT"] == f"Scan Rot = {switch}"
+        assert np.rad2deg(metadata.scan_rotation_rad) == pytest.approx(rotation)
+        assert metadata.raw["DP_DETECTOR_TYPE"] == "Detector = SE2"
+
+
+def test_a_mesh_is_written_whole_and_empty_places_are_unknown(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
+    specimen = MeshSpecimen("ball", np.asarray(ball.vertices), np.asarray(ball.faces))
+    options = replace(OPTIONS, width_px=48, height_px=48, working_distance_um=500.0, skew=0.01)
+    folder = write_simulated_series(tmp_path / "out", *simulate(specimen, options))
+    mesh = trimesh.load(folder / "truth_mesh.ply", process=False)
+    assert (len(mesh.vertices), len(mesh.faces)) == (len(ball.vertices), len(ball.faces))
+    truth = read_truth(folder)
+    assert truth.working_distance_um == 500.0
+    assert len(truth.skew) == 3
+    assert 0 < np.abs(truth.skew).max() < 0.05
+    assert np.isnan(truth.height_um[0, 0])
+    assert not truth.visible[:, 0, 0].any()
 
 
 def test_foreign_readers_find_the_zeiss_block(tmp_path: Path, simulation: tuple[TiltSeries, SimulationTruth]) -> None:

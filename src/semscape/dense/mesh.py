@@ -10,10 +10,13 @@ from semscape.types import BoolArray, FloatArray, HeightMap, ImageArray, Surface
 _STEEPEST_SLOPE = 8.0
 
 
-def height_map_mesh(height_map: HeightMap, *, max_vertices: int) -> SurfaceMesh:
+def height_map_mesh(
+    height_map: HeightMap, *, max_vertices: int, steepest_slope: float = _STEEPEST_SLOPE
+) -> SurfaceMesh:
     """Mesh a height map on its own grid, every n-th row and column such that at most `max_vertices` remain.
 
-    Triangles that span an unknown pixel, or a slope steeper than 83 deg (a depth jump), are left out.
+    Triangles that span an unknown pixel, or a slope steeper than `steepest_slope` (by default 83 deg, a
+    depth jump), are left out.
     """
     stride = grid_stride(height_map, max_vertices)
     height = height_map.height_um[::stride, ::stride]
@@ -22,7 +25,7 @@ def height_map_mesh(height_map: HeightMap, *, max_vertices: int) -> SurfaceMesh:
     grid = np.stack([col, row, np.nan_to_num(height), np.ones_like(height)], axis=-1)
     world = (grid @ height_map.world_from_grid.T)[..., :3]
 
-    limit = _STEEPEST_SLOPE * stride * height_map.pixel_size_um
+    limit = steepest_slope * stride * height_map.pixel_size_um
     index = np.arange(height.size).reshape(height.shape)
     a, b, c, d = (
         (slice(None, -1), slice(None, -1)),

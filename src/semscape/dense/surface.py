@@ -63,7 +63,7 @@ def dense_surface(
         RectifiedView(*warp_to_frame(view, index, reconstruction.motion, frame), float(frame.parallax[index]))
         for index, view in enumerate(series.views)
     )
-    height_range = _height_range_px(reconstruction, frame)
+    height_range = height_range_px(reconstruction, frame)
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
     return DenseSurface(_refined_map(series, reconstruction, frame, fused, options), tuple(pairs))
@@ -101,7 +101,7 @@ def _pair_at_zero_tilt(
     return to_zero_tilt(pair_heights(view1, view2, height_range_px, options), view1.parallax)
 
 
-def _height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float, float]:
+def height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float, float]:
     """Return the range of the sparse heights, without their last outliers, widened by 15 % on each side."""
     low, high = np.percentile(reconstruction.points_um[:, 2], [0.2, 99.8]) / frame.pixel_size_um
     margin = _RANGE_MARGIN * (high - low)
@@ -115,7 +115,7 @@ def _refined_map(
     rows, columns = series.shape
     world_from_grid = np.diag([pixel_size, -pixel_size, 1.0, 1.0])
     world_from_grid[:2, 3] = -pixel_size * (columns - 1) / 2, pixel_size * (rows - 1) / 2
-    start_px = _resample(fused_px, frame, world_from_grid, series.shape)
+    start_px = resample(fused_px, frame, world_from_grid, series.shape)
 
     matrices = camera_matrices(reconstruction.motion)
     plane_from_grid = world_from_grid[np.ix_([0, 1], [0, 1, 3])]
@@ -133,7 +133,7 @@ def _refined_map(
     )
 
 
-def _resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, shape: tuple[int, int]) -> FloatArray:
+def resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Resample heights from the rectified frame into the output grid, without bridging jumps or gaps."""
     frame_from_world = np.linalg.inv(np.vstack([frame.world_from_frame, [0, 0, 1]]))
     grid_to_world = np.array(

@@ -23,7 +23,7 @@ from semscape.io.surfaces import (
     encode_points_ply,
 )
 from semscape.options import Options
-from semscape.types import Reconstruction, Result
+from semscape.types import Motion, Reconstruction, Result
 
 RUN_FILES = (
     "points.ply",
@@ -95,6 +95,8 @@ def encode_run(result: Result) -> dict[str, bytes]:
 def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
     """Write files into a folder: all under temporary names first, then each renamed into place.
 
+    The folder is made where it does not exist.
+
     Raises
     ------
     BadInputError
@@ -102,6 +104,7 @@ def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
     """
     path = Path(folder)
     try:
+        path.mkdir(parents=True, exist_ok=True)
         partial = _make_partial(path)
         try:
             for name, content in files.items():
@@ -164,6 +167,45 @@ def reconstruction_to_dict(reconstruction: Reconstruction, names: Sequence[str])
         "n_tracks": len(reconstruction.points_um),
         "length_unit": unit,
     }
+
+
+def read_motion(folder: Path | str) -> tuple[Motion, int, tuple[str, ...]]:
+    """Read the calibrated views of a run folder back.
+
+    Returns
+    -------
+    motion : Motion
+        In the run's unit of length.
+    reference : int
+        The view whose grid the height map has.
+    names : tuple of str
+        Name of each view.
+
+    Raises
+    ------
+    BadInputError
+        If the folder holds no readable reconstruction.json.
+    """
+    path = Path(folder) / "reconstruction.json"
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+        views, unit = told["views"], told["length_unit"]
+
+        def column(key: str) -> Any:
+            return np.array([view[key] for view in views], dtype=np.float64)
+
+        motion = Motion(
+            axis_angle_rad=math.radians(told["axis_deg"]),
+            tilt_rad=np.deg2rad(column("tilt_deg")),
+            roll_rad=np.deg2rad(column("roll_deg")),
+            scale_px_per_um=column(f"scale_px_per_{unit}"),
+            anisotropy=column("anisotropy"),
+            translation_px=column("t_px"),
+        )
+        names = tuple(str(view["name"]) for view in views)
+        return motion, names.index(told["reference_view"]), names
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise BadInputError(f"{path} is no reconstruction that semscape wrote: {error}") from error
 
 
 def options_toml(options: Mapping[str, Any]) -> str:

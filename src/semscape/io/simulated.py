@@ -1,13 +1,14 @@
 """Simulated tilt series on disk: micrographs as a Zeiss microscope writes them, beside the exact truth.
 
     FOLDER/view_00_-06.00deg.tif ...   8-bit TIFF with the SmartSEM text in tag 34118
+    FOLDER/segments/view_00_-06.00deg_A.tif ...   the same for each segment of a backscatter detector
     FOLDER/truth.json                  motion, per view as set and as true, options, seed
     FOLDER/truth.npz                   height_um, normals, visible, world_from_grid, pixel_size_um
     FOLDER/truth_mesh.ply              the surface in um, z up
 
 File names and truth.json tell tilts in semscape's sign; the header tells them in the vendor's, see `io.zeiss`.
-The simulated stage tilts about the image's vertical axis (90 deg) by default, as if scanned with the image turned;
-a real Zeiss stage at scan rotation 0 tilts about the horizontal one.
+The simulated stage tilts about the image's vertical axis (90 deg) by default; a real Zeiss stage at scan rotation 0
+tilts about the horizontal one, which is `axis_deg` 0 here.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import os
 import re
 import shutil
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +35,18 @@ from semscape.types import Micrograph, Motion, SimulationTruth, SurfaceMesh, Til
 TRUTH_JSON, TRUTH_NPZ, TRUTH_MESH = "truth.json", "truth.npz", "truth_mesh.ply"
 FORMAT = "semscape-simulation-1"
 
-_OWN_NAME = re.compile(r"view_\d+_[-+][\d.]+deg\.tif|truth\.json|truth\.npz|truth_mesh\.ply|\.semscape-partial-.*")
+SEGMENTS = "segments"
+
+_OWN_NAME = re.compile(
+    r"view_\d+_[-+][\d.]+deg(_[A-D])?\.tif|segments|truth\.json|truth\.npz|truth_mesh\.ply|\.semscape-partial-.*"
+)
 _MESH_MAX_VERTICES = 160_000
 _PALETTE_INDEX = np.arange(256, dtype=np.uint16) * 257
 
 
-def write_simulated_series(folder: Path | str, series: TiltSeries, truth: SimulationTruth) -> Path:
+def write_simulated_series(
+    folder: Path | str, series: TiltSeries, truth: SimulationTruth, segments: Sequence[TiltSeries] = ()
+) -> Path:
     """Write a simulated series and its truth; a new folder appears whole or not at all.
 
     A folder that exists is kept, for a shell may stand in it, and filled: truth.json comes last.
@@ -51,6 +59,8 @@ def write_simulated_series(folder: Path | str, series: TiltSeries, truth: Simula
         8-bit views, as `semscape.simulate.simulate` makes them.
     truth : SimulationTruth
         The truth of the same simulation.
+    segments : sequence of TiltSeries
+        The series of each segment of a backscatter detector, whose mean `series` is.
 
     Returns
     -------
@@ -64,26 +74,40 @@ def write_simulated_series(folder: Path | str, series: TiltSeries, truth: Simula
     """
     path = Path(folder).resolve()
     _require_own(path)
-    files = {view.name: _encode_view(view) for view in series.views}
-    files[TRUTH_NPZ] = _encode_truth_arrays(truth)
-    files[TRUTH_MESH] = encode_mesh_ply(_truth_mesh(truth))
-    files[TRUTH_JSON] = json_text(_truth_to_dict(truth, series.names)).encode()
+    views = {view.name: _encode_view(view) for view in series.views}
+    parts = {view.name: _encode_view(view) for each in segments for view in each.views}
+    told = {
+        TRUTH_NPZ: _encode_truth_arrays(truth),
+        TRUTH_MESH: encode_mesh_ply(truth.mesh or _truth_mesh(truth)),
+        TRUTH_JSON: json_text(_truth_to_dict(truth, series.names)).encode(),
+    }
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         if path.exists():
-            for name in {entry.name for entry in path.glob("view_*.tif")} - files.keys():
-                (path / name).unlink()
-            put_files(files, path)
+            (path / TRUTH_JSON).unlink(missing_ok=True)  # no truth stands beside images that are not its own
+            for old in {*path.glob("view_*.tif"), *path.glob(f"{SEGMENTS}/*")}:
+                old.unlink()
+            _put(path, views | told, parts)
             return path
         partial.mkdir(parents=True)
         try:
-            put_files(files, partial)
+            _put(partial, views | told, parts)
             partial.rename(path)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
         raise BadInputError(f"the simulation cannot be written to {path}: {error.strerror or error}") from error
     return path
+
+
+def _put(folder: Path, files: dict[str, bytes], parts: dict[str, bytes]) -> None:
+    """Put the files into a folder, those of the segments first, for truth.json comes last."""
+    if parts:
+        (folder / SEGMENTS).mkdir(exist_ok=True)
+        put_files(parts, folder / SEGMENTS)
+    elif (folder / SEGMENTS).is_dir():
+        (folder / SEGMENTS).rmdir()
+    put_files(files, folder)
 
 
 def read_truth(folder: Path | str) -> SimulationTruth:
@@ -97,7 +121,7 @@ def read_truth(folder: Path | str) -> SimulationTruth:
     path = Path(folder)
     try:
         told = json.loads((path / TRUTH_JSON).read_text(encoding="utf-8"))
-        views = told["views"]
+        views, distance = told["views"], told["working_distance_um"]
 
         def column(key: str) -> Any:
             return np.array([view[key] for view in views], dtype=np.float64)
@@ -120,6 +144,8 @@ def read_truth(folder: Path | str) -> SimulationTruth:
                 world_from_grid=arrays["world_from_grid"],
                 seed=int(told["seed"]),
                 settings=told["settings"],
+                skew=tuple(view["skew"] for view in views),
+                working_distance_um=math.inf if distance is None else float(distance),
             )
     except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise BadInputError(
@@ -127,12 +153,33 @@ def read_truth(folder: Path | str) -> SimulationTruth:
         ) from error
 
 
+def truth_of_views(folder: Path | str, names: tuple[str, ...]) -> SimulationTruth:
+    """Read the truth of the views that a result has, in its order: it may have left some out.
+
+    Raises
+    ------
+    BadInputError
+        If there is no readable truth, or a view is not one of the simulated series.
+    """
+    truth = read_truth(folder)
+    told = json.loads((Path(folder) / TRUTH_JSON).read_text(encoding="utf-8"))
+    known = [str(view["name"]) for view in told["views"]]
+    foreign = [name for name in names if name not in known]
+    if foreign:
+        raise BadInputError(
+            f"the result's view {foreign[0]!r} is not one of the series whose truth {folder} holds "
+            f"({known[0]} ... {known[-1]}); give the folder that was reconstructed"
+        )
+    return truth.select(tuple(known.index(name) for name in names))
+
+
 def _require_own(path: Path) -> None:
     """Refuse a path that holds anything but an earlier simulation."""
     try:
         if path.exists() and not path.is_dir():
             raise BadInputError(f"the output folder {path} cannot be made: a file stands in its place")
-        foreign = sorted(e.name for e in path.iterdir() if not _OWN_NAME.fullmatch(e.name)) if path.is_dir() else []
+        entries = [*path.iterdir(), *path.glob(f"{SEGMENTS}/*")] if path.is_dir() else []
+        foreign = sorted(entry.name for entry in entries if not _OWN_NAME.fullmatch(entry.name))
     except OSError as error:
         raise BadInputError(f"the output folder {path} cannot be read: {error.strerror or error}") from error
     if foreign:
@@ -151,6 +198,7 @@ def _truth_to_dict(truth: SimulationTruth, names: tuple[str, ...]) -> dict[str, 
         "seed": truth.seed,
         "pixel_size_um": truth.pixel_size_um,
         "axis_deg": math.degrees(motion.axis_angle_rad),
+        "working_distance_um": truth.working_distance_um if math.isfinite(truth.working_distance_um) else None,
         "views": [
             {
                 "name": name,
@@ -159,6 +207,7 @@ def _truth_to_dict(truth: SimulationTruth, names: tuple[str, ...]) -> dict[str, 
                 "roll_deg": math.degrees(motion.roll_rad[i]),
                 "scale_px_per_um": motion.scale_px_per_um[i],
                 "anisotropy": motion.anisotropy[i],
+                "skew": truth.skew[i] if truth.skew else 0.0,
                 "translation_px": motion.translation_px[i],
                 "shift_px": motion.translation_px[i] - centre,
             }
@@ -192,6 +241,9 @@ def _truth_mesh(truth: SimulationTruth) -> SurfaceMesh:
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
     # Rows run along -y: counter-clockwise from above is down the column first.
     faces = np.vstack([np.column_stack([a, c, b]), np.column_stack([b, c, d])])
+    known = np.isfinite(vertices[:, 2])
+    faces = (np.cumsum(known) - 1)[faces[known[faces].all(axis=1)]]
+    vertices = vertices[known]
     return SurfaceMesh(vertices, faces, np.full((len(vertices), 3), 200, dtype=np.uint8), "um")
 
 
@@ -221,6 +273,8 @@ def zeiss_text(view: Micrograph) -> str:
     distance = metadata.working_distance_um
     voltage = metadata.accelerating_voltage_kv
     tilt = _decimals(math.degrees(TILT_SIGN * metadata.tilt_rad) + 0.0, 1)
+    rotation = math.degrees(metadata.scan_rotation_rad)
+    detector = metadata.raw.get("DP_DETECTOR_TYPE", "Detector = SE2")
     block = [
         f"{pixel * 1e-6:.6e}",
         f"{metadata.magnification:.6e}",
@@ -234,13 +288,14 @@ def zeiss_text(view: Micrograph) -> str:
         "DP_STAGE_TILTED": "Stage Tilt = in X",
         "DP_TILTED": f"Stage Tilted = {'No' if metadata.tilt_rad == 0 else 'Yes'}",
         "DP_IMAGE_STORE": f"Store resolution = {width} * {height}",
-        "DP_DETECTOR_TYPE": "Detector = SE2",
+        "DP_DETECTOR_CHANNEL": detector.replace("Detector", "Signal A"),
+        "DP_DETECTOR_TYPE": detector,
         "DP_TILT_CORRECTION": "Tilt Corrn. = Off",
-        "DP_SCAN_ROT": "Scan Rot = Off",
+        "DP_SCAN_ROT": f"Scan Rot = {'Off' if rotation == 0 else 'On'}",
         "AP_MAG": f"Mag = {metadata.magnification:6.0f} X",
         "AP_TILT_ANGLE": "Tilt Angle =  45.0 °",
         "AP_TILT_AXIS": "Tilt Axis =  90.0 °",
-        "AP_SCANROTATION": "Scan Rotation =   0.0 °",
+        "AP_SCANROTATION": f"Scan Rotation = {_decimals(rotation, 1):>5} °",
         "AP_MANUALKV": f"EHT Target = {voltage:5.2f} kV",
         "AP_PIXEL_SIZE": f"Pixel Size = {_length(pixel * width / 1024)}",
         "AP_IMAGE_PIXEL_SIZE": f"Image Pixel Size = {_length(pixel)}",

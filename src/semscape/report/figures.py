@@ -25,6 +25,7 @@ INK = "#808a96"
 ACCENT = "#2f81d6"
 WARM = "#e0812b"
 NO_DATA = (0.35, 0.55, 0.80, 0.22)
+GREY_NO_DATA = (0.5, 0.5, 0.5, 0.45)  # beside colours that are bluish themselves
 _DPI = 150
 _LONGEST_SIDE_PX = 1100
 
@@ -53,13 +54,17 @@ def _style() -> Iterator[None]:
         yield
 
 
-def _png(size_in: tuple[float, float], draw: Callable[[Figure], None]) -> bytes:
+def drawn_png(size_in: tuple[float, float], draw: Callable[[Figure], None], dpi: int = _DPI, colours: int = 0) -> bytes:
+    """Return the PNG of a figure that `draw` fills, in the report's style: grey ink on a transparent ground.
+
+    With `colours` (2 to 256) it is reduced to so many, a third of the bytes: for shaded surfaces.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     with _style():
-        figure = Figure(figsize=size_in, dpi=_DPI, layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02))
+        figure = Figure(figsize=size_in, dpi=dpi, layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02))
         FigureCanvasAgg(figure)
         draw(figure)
         buffer = io.BytesIO()
@@ -67,6 +72,17 @@ def _png(size_in: tuple[float, float], draw: Callable[[Figure], None]) -> bytes:
         figure.savefig(
             buffer, format="png", facecolor="none", bbox_inches="tight", pad_inches=0.04, metadata={"Software": None}
         )
+    return _with_few_colours(buffer, colours) if colours else buffer.getvalue()
+
+
+def _with_few_colours(png: io.BytesIO, colours: int) -> bytes:
+    from PIL import Image
+
+    with Image.open(png) as image:
+        # The one method that keeps the transparent ground.
+        reduced = image.convert("RGBA").quantize(colours, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    buffer = io.BytesIO()
+    reduced.save(buffer, format="png", optimize=True)
     return buffer.getvalue()
 
 
@@ -86,6 +102,20 @@ def hillshade_picture(height_map: HeightMap) -> bytes:
     """Return the shaded relief, lit from the upper left."""
     shade = hillshade(height_map.height_um, height_map.pixel_size_um)
     return _map_picture(height_map, shade, "gray", None, limits=(0.0, 1.0), half=True)
+
+
+def error_picture(height_map: HeightMap, error_um: FloatArray) -> bytes:
+    """Return the map of signed height errors (H, W) in the map's unit, blue too low and red too high, with its bar.
+
+    Grey is unknown.
+    """
+    sign = UNIT_SIGNS[height_map.length_unit]
+    known = np.abs(error_um[np.isfinite(error_um)])
+    # Symmetric, so that white is no error; false heights shall not wash out the rest.
+    largest = max(float(np.percentile(known, 98)), 1e-12) if known.size else 1.0
+    limits = -largest, largest
+    label = f"Height error, found − true ({sign})"
+    return _map_picture(height_map, error_um, "RdBu_r", label, limits=limits, no_data=GREY_NO_DATA)
 
 
 def pair_picture(result: Result) -> bytes | None:
@@ -141,7 +171,7 @@ def pair_picture(result: Result) -> bytes | None:
         bar.set_label("Parallax (px)")
         bar.outline.set_visible(False)
 
-    return _png((10.0, min(7.0, 4.5 * height / width + 0.1)), draw)
+    return drawn_png((10.0, min(7.0, 4.5 * height / width + 0.1)), draw)
 
 
 def tilt_picture(reconstruction: Reconstruction, names: tuple[str, ...], prior_sigma_deg: float) -> bytes:
@@ -183,7 +213,7 @@ def tilt_picture(reconstruction: Reconstruction, names: tuple[str, ...], prior_s
         if has_prior:
             left.legend(loc="upper right", fontsize=8)
 
-    return _png((10.0, 1.1 + 0.32 * len(names)), draw)
+    return drawn_png((10.0, 1.1 + 0.32 * len(names)), draw)
 
 
 def best_geometry(result: Result) -> TwoViewGeometry | None:
@@ -200,6 +230,7 @@ def _map_picture(
     bar_label: str | None,
     limits: tuple[float, float] | None = None,
     half: bool = False,
+    no_data: tuple[float, float, float, float] = NO_DATA,
 ) -> bytes:
     """Return a map over the grid of a height map, of the page's or half the page's width.
 
@@ -215,7 +246,7 @@ def _map_picture(
 
     def draw(figure: Figure) -> None:
         axes: Axes = figure.add_subplot()
-        axes.set_facecolor(NO_DATA)
+        axes.set_facecolor(no_data)
         picture = axes.imshow(
             np.ma.masked_invalid(small),
             cmap=colours,
@@ -239,7 +270,7 @@ def _map_picture(
     height = (0.9 * width if half else 0.82 * width) * rows / columns + (
         0.45 if not half else 1.0 if bar_label else 0.4
     )
-    return _png((width, float(np.clip(height, 2.0, 9.0))), draw)
+    return drawn_png((width, float(np.clip(height, 2.0, 9.0))), draw)
 
 
 def _limits(values: FloatArray, percent: float) -> tuple[float, float]:

@@ -18,8 +18,7 @@ from semscape.report.figures import (
     uncertainty_picture,
 )
 from semscape.report.json import report_to_dict
-from semscape.report.markup import figure, fixed, percent, plus_minus, table, with_sigma
-from semscape.report.style import STYLE
+from semscape.report.markup import figure, fixed, page, percent, plus_minus, table, with_sigma
 from semscape.report.wording import UNIT_SIGNS, Z_95, held_text, is_held, label, number, two_digits, value_text
 from semscape.types import LengthUnit, Result
 
@@ -61,16 +60,7 @@ def render_html(result: Result) -> str:
         _inputs(report["inputs"], unit),
         _options(report),
     ]
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        # The browser itself then refuses anything that is not in the file.
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
-        "style-src 'unsafe-inline'\">\n"
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(_title(result))} · semscape</title>\n<style>\n{STYLE}</style>\n</head>\n"
-        "<body>\n<main>\n" + "\n".join(section for section in sections if section) + "\n</main>\n</body>\n</html>\n"
-    )
+    return page(f"{_title(result)} · semscape", sections)
 
 
 def _title(result: Result) -> str:
@@ -188,7 +178,18 @@ def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
 
 
 def _pairs(report: Mapping[str, Any], result: Result) -> str:
-    head = ["Pair", "Keypoints", "Matches", "Inliers", "Share", "Tracks", "Threshold (px)", "log₁₀ NFA", "Trials"]
+    head = [
+        "Pair",
+        "Keypoints",
+        "Matches",
+        "Inliers",
+        "Share",
+        "Tracks",
+        "Model",
+        "Threshold (px)",
+        "log₁₀ NFA",
+        "Trials",
+    ]
     rows = []
     for item in report["pairs"]:
         first, second = item.get("pair", (0, 0))
@@ -203,6 +204,7 @@ def _pairs(report: Mapping[str, Any], result: Result) -> str:
                 number(inliers),
                 f"{100 * inliers / matches:.0f} %" if matches and inliers is not None else "–",
                 number(item.get("tracks")),
+                f"{item.get('model', '–')}{', planar' if item.get('planar') else ''}",
                 fixed(item.get("threshold_px"), 2),
                 fixed(item.get("log10_nfa"), 0),
                 number(item.get("trials")),

@@ -7,7 +7,22 @@ import math
 from collections.abc import Iterable, Sequence
 from html import escape
 
+from semscape.report.style import STYLE
 from semscape.report.wording import number
+
+
+def page(title: str, sections: Iterable[str]) -> str:
+    """Return a whole page of its sections; it carries its style and asks the network for nothing."""
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        # The browser itself then refuses anything that is not in the file.
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
+        "style-src 'unsafe-inline'\">\n"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{STYLE}</style>\n</head>\n"
+        "<body>\n<main>\n" + "\n".join(section for section in sections if section) + "\n</main>\n</body>\n</html>\n"
+    )
 
 
 def figure(png: bytes, title: str, caption: str) -> str:

@@ -53,9 +53,11 @@ th, td { padding: 6px 10px; text-align: left; vertical-align: top; border-bottom
 tr > :first-child { padding-left: 0; }
 tr > :last-child { padding-right: 0; }
 tbody tr:last-child > * { border-bottom: 0; }
-thead th { color: var(--quiet); font-weight: 600; font-size: 13px; white-space: nowrap; }
+thead th { color: var(--quiet); font-weight: 600; font-size: 13px; vertical-align: bottom; }
+.scroll + h3, details + h3, p + h3 { margin-top: 18px; }
 tbody th { font-weight: 500; overflow-wrap: anywhere; min-width: 8em; }
-.num { text-align: right; white-space: nowrap; }
+td.num { white-space: nowrap; }
+.num { text-align: right; }
 td.bar { width: 16%; min-width: 70px; vertical-align: middle; }
 td.bar span { display: block; height: 8px; border-radius: 4px; background: var(--accent); min-width: 2px; }
 figure { margin: 0; }

@@ -74,6 +74,9 @@ def pair_figures(
             "inliers": int(geometry.inliers.sum()),
             "threshold_px": geometry.threshold_px,
             "log10_nfa": geometry.log10_nfa,
+            "model": geometry.kind,
+            "log10_nfa_margin": geometry.nfa_margin,
+            "planar": geometry.planar,
             "tracks": int((seen[found.pair[0]] & seen[found.pair[1]]).sum()),
             "trials": geometry.n_trials,
         }

@@ -7,197 +7,152 @@ is the one of least NFA: no threshold is given.
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
-from scipy.special import gammaln
 
-from semscape.errors import TooFewMatchesError
-from semscape.robust.affine_epipolar import (
-    SAMPLE_SIZE,
-    epipolar_distance_px,
-    fit_hyperplane,
-    fundamental_matrix,
-    hyperplane_of_four,
+from semscape.robust.models import Model, Shape
+from semscape.robust.score import (
+    Points,
+    checkpoints,
+    histogram_bins,
+    least_nfa,
+    log10_combinations,
+    score_models,
 )
-from semscape.types import FloatArray, IntArray, TwoViewGeometry
+from semscape.robust.search import DistinctMatches, RobustFit, distinct_matches, search
+from semscape.types import FloatArray, IntArray
 
-_FAILURE_PROBABILITY = 1e-6
-_MIN_TRIALS = 100
-_REFITS = 10
-# Below a hundredth of a pixel residuals say how matches were rounded, not how good a model is.
-_LEAST_RESIDUAL_PX = 0.01
+FAILURE_PROBABILITY = 1e-6
 
 
 def ac_ransac(
-    pair: tuple[int, int],
-    xy1: FloatArray,
-    xy2: FloatArray,
-    shape: tuple[int, int],
+    model: Model,
+    x1: FloatArray,
+    x2: FloatArray,
     *,
-    max_trials: int,
+    shapes: tuple[Shape, Shape],
     rng: np.random.Generator,
-) -> TwoViewGeometry:
-    """Estimate the affine epipolar geometry of a pair and its inliers, without a threshold.
+    max_trials: int,
+    failure_probability: float = FAILURE_PROBABILITY,
+    workers: int = 1,
+) -> RobustFit:
+    """Estimate a two-view model and its inliers, without a threshold.
 
     Parameters
     ----------
-    pair : (int, int)
-        View indices i1 < i2.
-    xy1, xy2 : (M, 2) float arrays
-        Matched points in px.
-    shape : (int, int)
-        Height and width of the images in px.
+    model : Model
+        `AFFINE`, `FUNDAMENTAL`, `HOMOGRAPHY` or `essential(K1, K2)` of `semscape.robust.models`.
+    x1, x2 : (M, 2) float arrays
+        Matched points in px. Matches with NaN are never inliers; one that is repeated counts once.
+    shapes : ((int, int), (int, int))
+        Height and width of the two images in px.
+    rng : numpy.random.Generator
     max_trials : int
         Largest number of random samples; fewer are drawn once more cannot help.
-    rng : numpy.random.Generator
+    failure_probability : float
+        Sampling stops when, at the inliers of the best model so far, the samples have missed one of inliers alone
+        with this probability. 0 draws all `max_trials`.
+    workers : int
+        Threads over the samples; the result does not depend on it.
 
     Returns
     -------
-    TwoViewGeometry
-        `kind` is "affine"; the model is meaningful when `log10_nfa` < 0.
+    RobustFit
+        Meaningful when `log10_nfa` < 0.
 
     Raises
     ------
     TooFewMatchesError
-        With fewer than five matches, or when every sample is degenerate.
+        With no more distinct matches than a minimal sample holds, or when every sample is degenerate.
+
+    References
+    ----------
+    Moisan & Stival 2004, doi:10.1023/B:VISI.0000013094.38752.54; Moulon et al. 2012,
+    doi:10.1007/978-3-642-37447-0_20
 
     Examples
     --------
+    >>> from semscape.robust.models import AFFINE
     >>> rng = np.random.default_rng(0)
-    >>> xy1 = rng.uniform(0, 500, (200, 2))
-    >>> xy2 = xy1 + np.column_stack([rng.uniform(-9, 9, 200), rng.normal(0, 0.3, 200)])
-    >>> xy2[:80] = rng.uniform(0, 500, (80, 2))
-    >>> geometry = ac_ransac((0, 1), xy1, xy2, (500, 500), max_trials=2000, rng=rng)
-    >>> bool(geometry.inliers[80:].mean() > 0.9), 0.3 < geometry.threshold_px < 2
+    >>> x1 = rng.uniform(0, 500, (200, 2))
+    >>> x2 = x1 + np.column_stack([rng.uniform(-9, 9, 200), rng.normal(0, 0.3, 200)])
+    >>> x2[:80] = rng.uniform(0, 500, (80, 2))
+    >>> found = ac_ransac(AFFINE, x1, x2, shapes=((500, 500), (500, 500)), rng=rng, max_trials=2000)
+    >>> bool(found.inliers[80:].mean() > 0.9), 0.3 < found.threshold_px < 2
     (True, True)
     """
-    n = len(xy1)
-    if n <= SAMPLE_SIZE:
-        raise TooFewMatchesError(f"{n} matches, an epipolar geometry needs at least {SAMPLE_SIZE + 1}")
-    height, width = shape
-    w = np.ascontiguousarray(np.column_stack([xy1, xy2]), dtype=np.float64)
-    # Scaled to about unit size so that degenerate samples are told by absolute limits.
-    unit = float(max(height, width))
-    scaled = w / unit
-    log_alpha0 = math.log10(2 * math.hypot(height, width) / (height * width))
-    table = log10_combinations(n, SAMPLE_SIZE)
-
-    samples = _draw_samples(rng, n, max_trials)
-    best, log10_nfa, n_trials = _search(scaled, samples, unit, table, log_alpha0, n, True)
-    if not np.isfinite(log10_nfa):
-        raise TooFewMatchesError(f"all samples of {n} matches are degenerate: the matches lie on a line or repeat")
-    if log10_nfa < 0:
-        inliers = np.flatnonzero(_explained(best, scaled, unit, table, log_alpha0)[0])
-        local = (
-            inliers[_draw_samples(rng, len(inliers), max(max_trials // 10, 20))] if len(inliers) > 8 else samples[:1]
-        )
-        candidate, candidate_nfa, extra = _search(scaled, local, unit, table, log_alpha0, n, False)
-        n_trials += extra
-        if candidate_nfa < log10_nfa:
-            best, log10_nfa = candidate, candidate_nfa
-        best = _refit(best, scaled, unit, table, log_alpha0)
-    inlier_mask, residual, threshold, log10_nfa = _explained(best, scaled, unit, table, log_alpha0)
-    hyperplane = np.append(best[:4], best[4] * unit)
-    return TwoViewGeometry(
-        pair, "affine", fundamental_matrix(hyperplane), inlier_mask, residual, threshold, log10_nfa, n_trials
+    matches = distinct_matches(model, x1, x2, shapes, rng=rng)
+    evidence = _Evidence.of(model, matches, model.log10_alpha0(shapes))
+    best, n_trials = search(
+        model,
+        matches,
+        evidence,
+        rng=rng,
+        max_trials=max_trials,
+        failure_probability=failure_probability,
+        workers=workers,
     )
+    residual = model.residuals_px(best.matrix, matches.points, matches.frame)
+    log10_nfa, threshold = least_nfa(residual, evidence.table, evidence.log_alpha0, model.sample_size, model.dimension)
+    residual = model.residuals_px(best.matrix, matches.all_points, matches.frame)
+    matrix = model.in_pixels(best.matrix, matches.frame)
+    return RobustFit(model.kind, matrix, residual <= threshold, residual, threshold, log10_nfa, n_trials)
 
 
-def log10_combinations(n: int, sample_size: int) -> FloatArray:
-    """Return log10 of (n - Ns) C(n, k) C(k, Ns) for k = 0 .. n, infinite for k <= Ns."""
-    k = np.arange(n + 1, dtype=np.float64)
-    table = np.full(n + 1, np.inf)
-    big = k[sample_size + 1 :]
-    log_n_choose_k = gammaln(n + 1) - gammaln(big + 1) - gammaln(n - big + 1)
-    log_k_choose_s = gammaln(big + 1) - gammaln(sample_size + 1) - gammaln(big - sample_size + 1)
-    table[sample_size + 1 :] = (math.log(n - sample_size) + log_n_choose_k + log_k_choose_s) / math.log(10)
-    return table
+@dataclass(frozen=True)
+class _Evidence:
+    """The log10 NFA as the score of a search."""
 
+    model: Model
+    unit_px: float
+    points: Points
+    log_alpha0: float
+    table: FloatArray
+    first_bin: int
+    log_alpha: FloatArray
+    edge_px: FloatArray
+    stops: IntArray
+    likely: IntArray = field(repr=False)
 
-def _explained(
-    hyperplane: FloatArray, w: FloatArray, unit: float, table: FloatArray, log_alpha0: float
-) -> tuple[np.ndarray, FloatArray, float, float]:
-    """Return inliers (M,), residuals (M,) px, threshold px and log10 NFA of one model."""
-    residual = epipolar_distance_px(hyperplane, w) * unit
-    log10_nfa, k = _least_nfa(np.sort(residual), table, log_alpha0)
-    threshold = float(np.partition(residual, k - 1)[k - 1])
-    return residual <= threshold, residual, threshold, float(log10_nfa)
+    @classmethod
+    def of(cls, model: Model, matches: DistinctMatches, log_alpha0: float) -> _Evidence:
+        n, unit = len(matches.w), matches.frame.unit_px
+        first_bin, log_alpha, upper = histogram_bins(log_alpha0, model.dimension, unit)
+        return cls(
+            model,
+            unit,
+            matches.points.astype(np.float32),
+            log_alpha0,
+            log10_combinations(n, model.sample_size, model.max_solutions),
+            first_bin,
+            log_alpha,
+            np.sqrt(upper) * unit,
+            *checkpoints(n),
+        )
 
+    def of_models(
+        self, matrices: FloatArray, count: IntArray, best: float, values: FloatArray, thresholds_px: FloatArray
+    ) -> None:
+        # Once there is any model, one that cannot become meaningful need not be finished.
+        bar = min(best, 0.0) if np.isfinite(best) else best
+        edge = np.zeros(values.shape, dtype=np.int64)
+        score_models(
+            self.model.residual,
+            self.model.sample_size,
+            self.points,
+            matrices,
+            count,
+            self.table,
+            self.first_bin,
+            self.log_alpha,
+            self.stops,
+            self.likely,
+            bar,
+            values,
+            edge,
+        )
+        thresholds_px[:] = self.edge_px[edge]
 
-def _refit(hyperplane: FloatArray, w: FloatArray, unit: float, table: FloatArray, log_alpha0: float) -> FloatArray:
-    """Alternate total least squares on the inliers and new inliers, as long as the NFA falls."""
-    inliers, _, _, log10_nfa = _explained(hyperplane, w, unit, table, log_alpha0)
-    for _ in range(_REFITS):
-        candidate = fit_hyperplane(w[inliers])
-        new_inliers, _, _, candidate_nfa = _explained(candidate, w, unit, table, log_alpha0)
-        if candidate_nfa >= log10_nfa:
-            break
-        hyperplane, inliers, log10_nfa = candidate, new_inliers, candidate_nfa
-    return hyperplane
-
-
-def _draw_samples(rng: np.random.Generator, n: int, n_trials: int) -> IntArray:
-    """Draw (n_trials, 4) indices, distinct within each row."""
-    samples = rng.integers(0, n, (n_trials, SAMPLE_SIZE))
-    while True:
-        ordered = np.sort(samples, axis=1)
-        repeated = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
-        if not repeated.any():
-            return samples
-        samples[repeated] = rng.integers(0, n, (int(repeated.sum()), SAMPLE_SIZE))
-
-
-@njit(cache=True, nogil=True)
-def _least_nfa(ordered_residual: FloatArray, table: FloatArray, log_alpha0: float) -> tuple[float, int]:
-    best, best_k = np.inf, SAMPLE_SIZE + 1
-    for k in range(SAMPLE_SIZE + 1, len(ordered_residual) + 1):
-        log_alpha = log_alpha0 + math.log10(max(ordered_residual[k - 1], _LEAST_RESIDUAL_PX))
-        value = table[k] + (k - SAMPLE_SIZE) * min(log_alpha, 0.0)
-        if value < best:
-            best, best_k = value, k
-    return best, best_k
-
-
-@njit(cache=True, nogil=True)
-def _search(
-    w: FloatArray,
-    samples: IntArray,
-    unit: float,
-    table: FloatArray,
-    log_alpha0: float,
-    n: int,
-    may_stop: bool,
-) -> tuple[FloatArray, float, int]:
-    """Return the hyperplane of least NFA among the samples, its log10 NFA and the number of trials made."""
-    best = np.zeros(5)
-    best_nfa = np.inf
-    hyperplane = np.empty(5)
-    residual = np.empty(n)
-    needed = len(samples)
-    trial = 0
-    while trial < needed:
-        sample = samples[trial]
-        trial += 1
-        if not hyperplane_of_four(w, sample[0], sample[1], sample[2], sample[3], hyperplane):
-            continue
-        weaker = np.sqrt(min(hyperplane[0] ** 2 + hyperplane[1] ** 2, hyperplane[2] ** 2 + hyperplane[3] ** 2))
-        for j in range(n):
-            value = (
-                hyperplane[0] * w[j, 0]
-                + hyperplane[1] * w[j, 1]
-                + hyperplane[2] * w[j, 2]
-                + hyperplane[3] * w[j, 3]
-                + hyperplane[4]
-            )
-            residual[j] = abs(value) / weaker * unit
-        nfa, k = _least_nfa(np.sort(residual), table, log_alpha0)
-        if nfa < best_nfa:
-            best_nfa = nfa
-            best[:] = hyperplane
-            if may_stop and nfa < 0:
-                all_inliers = min((k / n) ** SAMPLE_SIZE, 1 - 1e-9)
-                enough = int(math.log(_FAILURE_PROBABILITY) / math.log(1 - all_inliers)) + 1
-                needed = min(len(samples), max(_MIN_TRIALS, enough))
-    return best, best_nfa, trial
+    def is_evidence(self, value: float) -> bool:
+        return value < 0

@@ -10,16 +10,16 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from semscape.types import BoolArray, FloatArray
+from semscape.types import FloatArray
 
-SAMPLE_SIZE = 4
+_TRIMMINGS = 5
 
 
 def fit_hyperplane(w: FloatArray) -> FloatArray:
     """Return the total-least-squares hyperplane (5,) of matches w (M, 4), its normal of unit length."""
-    centre = w.mean(axis=0)
-    deviation = w - centre
-    _, vectors = np.linalg.eigh(deviation.T @ deviation)
+    n = len(w)
+    centre = np.ones(n) @ w / n  # as a product: ten times faster than a sum over the long axis of a thin array
+    _, vectors = np.linalg.eigh(w.T @ w - n * np.outer(centre, centre))
     normal = vectors[:, 0]
     return np.append(normal, -normal @ centre)
 
@@ -31,12 +31,12 @@ def epipolar_distance_px(hyperplane: FloatArray, w: FloatArray) -> FloatArray:
     return distance
 
 
-def fundamental_matrix(hyperplane: FloatArray) -> FloatArray:
+def affine_matrix(hyperplane: FloatArray) -> FloatArray:
     """Return F (3, 3) with x2^T F x1 = 0, of Frobenius norm 1.
 
     Examples
     --------
-    >>> F = fundamental_matrix(np.array([0.0, 1.0, 0.0, -1.0, 0.0]))  # rows are epipolar lines: y1 = y2
+    >>> F = affine_matrix(np.array([0.0, 1.0, 0.0, -1.0, 0.0]))  # rows are epipolar lines: y1 = y2
     >>> float(np.array([7.0, 3.0, 1.0]) @ F @ np.array([2.0, 3.0, 1.0]))
     0.0
     """
@@ -46,11 +46,31 @@ def fundamental_matrix(hyperplane: FloatArray) -> FloatArray:
     return normalized
 
 
-def spans_hyperplane(w: FloatArray, inliers: BoolArray) -> bool:
-    """Tell whether the inliers fix one hyperplane: they must spread in three directions, not lie in a plane."""
-    deviation = w[inliers] - w[inliers].mean(axis=0)
-    values = np.linalg.eigvalsh(deviation.T @ deviation / max(len(deviation), 1))
-    return bool(values[1] > 1e-6 * values[3] and values[1] > 4 * values[0])
+def is_planar(w: FloatArray) -> bool:
+    """Tell whether matches (n, 4) show no parallax: one affine map takes all points to their matches.
+
+    Matches of a relief fill three dimensions of their 4-space and noise the fourth. Those of a plane fill two, and
+    then no epipolar geometry is better than another: the third spread is noise too, less than twice the fourth.
+    A tenth of the matches, wrong ones that lie near their epipolar line by chance, may stand out.
+
+    Examples
+    --------
+    >>> x, y = np.divmod(np.arange(64.0), 8)
+    >>> relief, noise = (x * y) % 7, (x * y) % 3 / 50
+    >>> is_planar(np.column_stack([x, y, x + noise, y + (x + y) % 4 / 60]))
+    True
+    >>> is_planar(np.column_stack([x, y, x + relief, y + noise]))
+    False
+    """
+    kept = np.ones(len(w), dtype=bool)
+    for _ in range(_TRIMMINGS):
+        centre = w[kept].mean(axis=0)
+        deviation = w[kept] - centre
+        across = (w - centre) @ np.linalg.eigh(deviation.T @ deviation)[1][:, :2]
+        distance = np.hypot(across[:, 0], across[:, 1])
+        kept = distance <= 4 * np.median(distance)
+    noise, parallax = np.median(np.abs(across[kept]), axis=0)
+    return bool(kept.mean() > 0.9 and parallax <= 2 * noise + 1e-6)
 
 
 @njit(cache=True, nogil=True)

@@ -9,10 +9,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from semscape.errors import TooFewMatchesError
+from semscape.features.guided import add_guided_matches, is_parallel
 from semscape.features.match import match
 from semscape.options import FeaturesOptions, RobustOptions
-from semscape.robust.acransac import ac_ransac
-from semscape.types import Keypoints, Matches, TwoViewGeometry
+from semscape.robust.pair_geometry import two_view_geometry
+from semscape.types import FloatArray, Keypoints, Matches, TwoViewGeometry
 
 Pair = tuple[int, int]
 
@@ -25,8 +26,11 @@ def match_pair(
     features: FeaturesOptions,
     robust: RobustOptions,
     rng: np.random.Generator,
+    calibrations: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[Matches, TwoViewGeometry]:
-    """Match two views and estimate their epipolar geometry.
+    """Match two views, estimate their epipolar geometry, and with `features.guided` match again along its lines.
+
+    An essential matrix (`robust.model`) needs the views' calibrations.
 
     Raises
     ------
@@ -40,13 +44,25 @@ def match_pair(
         raise TooFewMatchesError(f"{len(found)} matches {between}, need {robust.min_inliers}")
     xy1 = keypoints[i1].xy[found.indices[:, 0]]
     xy2 = keypoints[i2].xy[found.indices[:, 1]]
-    geometry = ac_ransac(pair, xy1, xy2, shape, max_trials=robust.max_trials, rng=rng)
+    geometry = two_view_geometry(
+        pair,
+        xy1,
+        xy2,
+        kind=robust.model,
+        parallax_limited=robust.limit_parallax,
+        shapes=(shape, shape),
+        rng=rng,
+        max_trials=robust.max_trials,
+        calibrations=calibrations,
+    )
     n_inliers = int(geometry.inliers.sum())
     if geometry.log10_nfa >= 0 or n_inliers < robust.min_inliers:
         raise TooFewMatchesError(
             f"{n_inliers} of {len(found)} matches {between} fit one epipolar geometry (log10 NFA "
             f"{geometry.log10_nfa:.1f}), need {robust.min_inliers} and a negative log10 NFA"
         )
+    if features.guided and is_parallel(geometry):
+        return add_guided_matches(found, geometry, keypoints[i1], keypoints[i2], ratio=features.ratio)
     return found, geometry
 
 

@@ -7,24 +7,46 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from semscape.types import FloatArray
+from semscape.types import ImageArray
+
+BLOCK = 16  # cells along each side of a block whose highest point is known
+_PARALLEL = 1e-12
+
+
+def block_tops(height: ImageArray) -> ImageArray:
+    """Return the highest node of each block of `BLOCK` x `BLOCK` cells; -inf where a block has no known height.
+
+    Neighbouring blocks share the nodes between them.
+    """
+    rows, cols = (-(-(n - 1) // BLOCK) for n in height.shape)
+    padded = np.full((rows * BLOCK + 1, cols * BLOCK + 1), -np.inf, dtype=np.float32)
+    padded[: height.shape[0], : height.shape[1]] = np.where(np.isnan(height), -np.inf, height)
+    starts = [np.arange(n) * BLOCK for n in (rows, cols)]
+    tops = np.maximum.reduceat(np.maximum.reduceat(padded[:-1, :-1], starts[0], axis=0), starts[1], axis=1)
+    below = np.maximum.reduceat(padded[BLOCK::BLOCK, :-1], starts[1], axis=1)
+    right = np.maximum.reduceat(padded[:-1, BLOCK::BLOCK], starts[0], axis=0)
+    corner = padded[BLOCK::BLOCK, BLOCK::BLOCK]
+    highest: ImageArray = np.maximum.reduce([tops, below, right, corner])
+    return highest
 
 
 @njit(nogil=True, cache=True)
 def cast_rays(
-    height: Any, origin: Any, slope: Any, z_top: float, z_bottom: float, hit: Any
+    height: Any, tops: Any, origin: Any, slope: Any, z_top: float, z_bottom: float, hit: Any
 ) -> None:  # pragma: no cover - compiled
     """Find where each ray first meets the surface.
 
     The ray n passes the level z at the grid position origin[n] + slope[n] z and comes from z = +infinity. It walks
-    from cell to cell (Amanatides & Woo 1987); in a cell the bilinear surface along the ray is a parabola.
+    from block to block, and in each block that it may meet from cell to cell (Amanatides & Woo 1987,
+    doi:10.2312/egtp.19871000).
 
     Parameters
     ----------
     height : (rows, cols) float32 array
-        Heights in um at the nodes.
+        Heights in um at the nodes; a cell with a NaN at a corner is a hole.
+    tops : float32 array
+        As of `block_tops`.
     origin : (N, 2) float array
         Grid position (col, row) of each ray at z = 0.
     slope : (N, 2) or (1, 2) float array
@@ -35,107 +57,125 @@ def cast_rays(
         Output: col, row and z in um of the first hit, NaN where a ray leaves the grid.
     """
     rows, cols = height.shape
+    depth = z_top - z_bottom + 1e-6 * (1.0 + z_top - z_bottom)
     for n in range(origin.shape[0]):
         m = min(n, slope.shape[0] - 1)
         hit[n, 0] = hit[n, 1] = hit[n, 2] = np.nan
         # t is the descent below z_top; the position is p + v t.
         vx, vy = -slope[m, 0], -slope[m, 1]
         px, py = origin[n, 0] + slope[m, 0] * z_top, origin[n, 1] + slope[m, 1] * z_top
-        t, t_end = 0.0, z_top - z_bottom + 1e-6 * (1.0 + z_top - z_bottom)
+        t, t_end = 0.0, depth
         for p, v, upper in ((px, vx, cols - 1.0), (py, vy, rows - 1.0)):
-            if abs(v) < 1e-12:
-                if p < 0.0 or p > upper:
+            if abs(v) < _PARALLEL:
+                if not 0.0 <= p <= upper:
                     t_end = -1.0
             else:
                 t_low, t_high = -p / v, (upper - p) / v
                 t = max(t, min(t_low, t_high))
                 t_end = min(t_end, max(t_low, t_high))
-        if t > t_end:
+        if not t <= t_end:  # NaN counts as a miss
             continue
-        ix = min(max(math.floor(px + vx * t), 0), cols - 2)
-        iy = min(max(math.floor(py + vy * t), 0), rows - 2)
-        step_x, step_y = (1 if vx > 0 else -1), (1 if vy > 0 else -1)
-        dt_x = 1.0 / abs(vx) if abs(vx) >= 1e-12 else np.inf
-        dt_y = 1.0 / abs(vy) if abs(vy) >= 1e-12 else np.inf
-        next_x = (ix + (1 if vx > 0 else 0) - px) / vx if dt_x < np.inf else np.inf
-        next_y = (iy + (1 if vy > 0 else 0) - py) / vy if dt_y < np.inf else np.inf
+        bx = min(max(int((px + vx * t) / BLOCK), 0), tops.shape[1] - 1)
+        by = min(max(int((py + vy * t) / BLOCK), 0), tops.shape[0] - 1)
+        next_x, dt_x = _first_border(px, vx, bx, BLOCK)
+        next_y, dt_y = _first_border(py, vy, by, BLOCK)
         while True:
             t_next = min(next_x, next_y, t_end)
-            a, b = height[iy, ix], height[iy, ix + 1]
-            c, d = height[iy + 1, ix], height[iy + 1, ix + 1]
-            if z_top - t_next <= max(a, b, c, d):
-                x, y = px + vx * t - ix, py + vy * t - iy
-                twist = a - b - c + d
-                # Height of the ray above the surface at t + u: f0 + f1 u + f2 u^2.
-                f0 = z_top - t - (a + (b - a) * x + (c - a) * y + twist * x * y)
-                f1 = -1.0 - (b - a) * vx - (c - a) * vy - twist * (x * vy + y * vx)
-                f2 = -twist * vx * vy
-                u = np.inf
-                if f0 <= 0.0:
-                    u = 0.0
-                else:
-                    discriminant = f1 * f1 - 4.0 * f2 * f0
-                    if discriminant >= 0.0:
-                        q = -0.5 * (f1 + math.copysign(math.sqrt(discriminant), f1))
-                        for root in (f0 / q if q != 0.0 else np.inf, q / f2 if f2 != 0.0 else np.inf):
-                            if 0.0 <= root < u:
-                                u = root
-                if t + u <= t_next + 1e-9:
-                    hit[n, 0] = px + vx * (t + u)
-                    hit[n, 1] = py + vy * (t + u)
-                    hit[n, 2] = z_top - t - u
+            if z_top - t_next <= tops[by, bx]:
+                met = _in_block(height, bx * BLOCK, by * BLOCK, px, py, vx, vy, z_top, t, t_next)
+                if met < np.inf:
+                    hit[n, 0] = px + vx * met
+                    hit[n, 1] = py + vy * met
+                    hit[n, 2] = z_top - met
                     break
             if t_next >= t_end:
                 break
-            t = t_next
+            t = max(t, t_next)
             if next_x <= next_y:
-                ix += step_x
+                bx += 1 if vx > 0 else -1
                 next_x += dt_x
             else:
-                iy += step_y
+                by += 1 if vy > 0 else -1
                 next_y += dt_y
-            if ix < 0 or iy < 0 or ix > cols - 2 or iy > rows - 2:
+            if bx < 0 or by < 0 or bx >= tops.shape[1] or by >= tops.shape[0]:
                 break
 
 
 @njit(nogil=True, cache=True)
+def _first_border(p: float, v: float, cell: int, size: float) -> tuple[float, float]:  # pragma: no cover - compiled
+    """Return when a ray leaves a cell along one axis, and how long it takes to cross one."""
+    if abs(v) < _PARALLEL:
+        return np.inf, np.inf
+    return ((cell + (1.0 if v > 0 else 0.0)) * size - p) / v, size / abs(v)
+
+
+@njit(nogil=True, cache=True)
+def _in_block(
+    height: Any, x0: int, y0: int, px: float, py: float, vx: float, vy: float, z_top: float, t: float, t_end: float
+) -> float:  # pragma: no cover - compiled
+    """Return the descent at which a ray first meets the block with the corner (x0, y0) between t and t_end, or inf."""
+    last_x, last_y = min(x0 + BLOCK, height.shape[1] - 1) - 1, min(y0 + BLOCK, height.shape[0] - 1) - 1
+    ix = min(max(math.floor(px + vx * t), x0), last_x)
+    iy = min(max(math.floor(py + vy * t), y0), last_y)
+    next_x, dt_x = _first_border(px, vx, ix, 1.0)
+    next_y, dt_y = _first_border(py, vy, iy, 1.0)
+    while True:
+        t_next = min(next_x, next_y, t_end)
+        a, b = height[iy, ix], height[iy, ix + 1]
+        c, d = height[iy + 1, ix], height[iy + 1, ix + 1]
+        if z_top - t_next <= max(a, b, c, d):  # never where one of them is NaN, for then f0 below is
+            met = t + _to_patch(a, b, c, d, px + vx * t - ix, py + vy * t - iy, z_top - t, vx, vy)
+            if met <= t_next + 1e-9:
+                return met
+        if t_next >= t_end:
+            return np.inf
+        t = max(t, t_next)
+        if next_x <= next_y:
+            ix += 1 if vx > 0 else -1
+            next_x += dt_x
+        else:
+            iy += 1 if vy > 0 else -1
+            next_y += dt_y
+        if ix < x0 or iy < y0 or ix > last_x or iy > last_y:
+            return np.inf
+
+
+@njit(nogil=True, cache=True)
+def _to_patch(
+    a: float, b: float, c: float, d: float, x: float, y: float, z: float, vx: float, vy: float
+) -> float:  # pragma: no cover - compiled
+    """Return how far a ray at (x, y, z) in a cell must descend to its bilinear surface, inf where it does not meet it.
+
+    The height of the ray above the surface is a parabola f0 + f1 u + f2 u^2 in the descent u.
+    """
+    twist = a - b - c + d
+    f0 = z - (a + (b - a) * x + (c - a) * y + twist * x * y)
+    f1 = -1.0 - (b - a) * vx - (c - a) * vy - twist * (x * vy + y * vx)
+    f2 = -twist * vx * vy
+    if math.isnan(f0):
+        return np.inf
+    if f0 <= 0.0:
+        return 0.0
+    discriminant = f1 * f1 - 4.0 * f2 * f0
+    if discriminant < 0.0:
+        return np.inf
+    q = -0.5 * (f1 + math.copysign(math.sqrt(discriminant), f1))
+    nearest = np.inf
+    for root in (f0 / q if q != 0.0 else np.inf, q / f2 if f2 != 0.0 else np.inf):
+        if 0.0 <= root < nearest:
+            nearest = root
+    return nearest
+
+
+@njit(nogil=True, cache=True)
 def sample_bilinear(grid: Any, position: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Sample `grid` (rows, cols) at `position` (N, 2) = (col, row) into `out` (N,); NaN outside."""
-    rows, cols = grid.shape
+    """Sample `grid` (rows, cols, K) at `position` (N, 2) = (col, row) into `out` (N, K), level past its border."""
+    rows, cols = grid.shape[:2]
     for n in range(position.shape[0]):
-        x, y = position[n, 0], position[n, 1]
-        if not (x >= 0.0 and y >= 0.0 and x <= cols - 1 and y <= rows - 1):
-            out[n] = np.nan
-            continue
+        x, y = min(max(position[n, 0], 0.0), cols - 1.0), min(max(position[n, 1], 0.0), rows - 1.0)
         ix, iy = min(int(x), cols - 2), min(int(y), rows - 2)
         fx, fy = x - ix, y - iy
-        top = (1.0 - fx) * grid[iy, ix] + fx * grid[iy, ix + 1]
-        bottom = (1.0 - fx) * grid[iy + 1, ix] + fx * grid[iy + 1, ix + 1]
-        out[n] = (1.0 - fy) * top + fy * bottom
-
-
-def rays_of_pixels(
-    matrix: FloatArray, translation_px: FloatArray, grid_from_world: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Turn a parallel camera into rays in grid coordinates.
-
-    Parameters
-    ----------
-    matrix : (2, 3) float array
-        px per um, as of `geometry.cameras.camera_matrices`.
-    translation_px : (2,) float array
-        Image of the world's origin.
-    grid_from_world : (2, 3) float array
-        Affine map of the world's (x, y) in um to (col, row).
-
-    Returns
-    -------
-    linear : (2, 2) float array
-        The ray of pixel x passes z = 0 at the grid position linear @ x + offset.
-    offset : (2,) float array
-        See `linear`.
-    slope : (2,) float array
-        Change of the grid position per um of z.
-    """
-    to_grid: NDArray[np.float64] = grid_from_world[:, :2] @ np.linalg.inv(matrix[:, :2])
-    return to_grid, grid_from_world[:, 2] - to_grid @ translation_px, -to_grid @ matrix[:, 2]
+        for k in range(grid.shape[2]):
+            top = (1.0 - fx) * grid[iy, ix, k] + fx * grid[iy, ix + 1, k]
+            bottom = (1.0 - fx) * grid[iy + 1, ix, k] + fx * grid[iy + 1, ix + 1, k]
+            out[n, k] = (1.0 - fy) * top + fy * bottom

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 
 import numpy as np
@@ -9,6 +10,8 @@ from scipy import ndimage
 
 from semscape.simulate.presets import SimulationOptions
 from semscape.types import FloatArray, ImageArray
+
+_BLUR_STEP_PX = 0.25
 
 
 def stream(seed: int, stage: str, view: int = 0) -> np.random.Generator:
@@ -37,12 +40,29 @@ def scan_offsets(options: SimulationOptions, seed: int, view: int) -> FloatArray
     return offsets
 
 
-def blur_beam(signal: FloatArray, sigma_px: float) -> FloatArray:
-    """Blur a signal (H, W) by a Gaussian beam of `sigma_px`."""
-    if sigma_px <= 0:
+def blur_beam(signal: FloatArray, depth_px: FloatArray, options: SimulationOptions) -> FloatArray:
+    """Blur a signal (H, W) by the beam, wider where the surface is out of focus.
+
+    `depth_px` (H, W) is the distance from the focal plane, NaN where there is no surface: the beam is taken as focused
+    there. Between a few fixed sigmas the image is interpolated.
+    """
+    if options.blur_px <= 0 and options.defocus <= 0:
         return signal
-    blurred: FloatArray = ndimage.gaussian_filter(signal, sigma_px, mode="nearest")
+    sigma = np.hypot(options.blur_px, options.defocus * np.nan_to_num(depth_px))
+    steps = max(1, math.ceil((float(sigma.max()) - float(sigma.min())) / _BLUR_STEP_PX))
+    levels = np.linspace(float(sigma.min()), float(sigma.max()), steps + 1)
+    if levels[-1] - levels[0] < 1e-9:
+        return _gaussian(signal, float(levels[0]))
+    position = (sigma - levels[0]) / (levels[1] - levels[0])
+    blurred = np.zeros(signal.shape)
+    for step, level in enumerate(levels):
+        blurred += np.clip(1.0 - np.abs(position - step), 0.0, None) * _gaussian(signal, float(level))
     return blurred
+
+
+def _gaussian(signal: FloatArray, sigma_px: float) -> FloatArray:
+    smooth: FloatArray = signal if sigma_px <= 0 else ndimage.gaussian_filter(signal, sigma_px, mode="nearest")
+    return smooth
 
 
 def charging_streaks(signal: FloatArray, options: SimulationOptions, seed: int, view: int) -> FloatArray:
@@ -65,17 +85,20 @@ def charging_streaks(signal: FloatArray, options: SimulationOptions, seed: int, 
     return out * float(signal.mean())
 
 
-def detect(signal: FloatArray, options: SimulationOptions, seed: int, view: int) -> FloatArray:
+def detect(
+    signal: FloatArray, options: SimulationOptions, seed: int, view: int, channel: int = 0, share: float = 1.0
+) -> FloatArray:
     """Count electrons: Poisson noise at `dose` electrons per pixel of mean signal, and the line-to-line noise.
 
-    `signal` (H, W) is in units of the series' mean signal, and so is the result.
+    `signal` (H, W) is in units of the series' mean signal, and so is the result. Of several channels each counts its
+    `share` of the electrons; the line noise is the beam's, so it is the same in all.
     """
-    rng = stream(seed, "lines", view)
-    lines = 1.0 + options.line_noise * rng.standard_normal(len(signal))
+    lines = 1.0 + options.line_noise * stream(seed, "lines", view).standard_normal(len(signal))
     expected: FloatArray = np.maximum(signal, 0.0) * lines[:, None]
     if options.dose <= 0:
         return expected
-    return stream(seed, "dose", view).poisson(expected * options.dose) / options.dose
+    electrons = options.dose * share
+    return stream(seed, f"dose{channel or ''}", view).poisson(expected * electrons) / electrons
 
 
 def digitize(

@@ -1,4 +1,4 @@
-"""The secondary-electron signal at points of a surface (Reimer, Scanning Electron Microscopy, 1998, chapter 4)."""
+"""Secondary and backscattered electrons from points of a surface (Reimer, Scanning Electron Microscopy, 1998)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from semscape.simulate.noise import octave_noise
 from semscape.simulate.presets import SimulationOptions
-from semscape.types import FloatArray, ImageArray
+from semscape.types import ImageArray
 
 TEXTURE_OCTAVES = 3
 _SKY_DIRECTIONS = 8
@@ -48,33 +48,41 @@ def open_sky(height_um: ImageArray, pitch_um: float, reach_um: float) -> ImageAr
     return out
 
 
-def surface_layers(height_um: ImageArray, pitch_um: float, options: SimulationOptions) -> ImageArray:
-    """Precompute what the signal needs of the surface alone.
+def surface_layers(
+    height_um: ImageArray, pitch_um: float, sky_reach_px: float, options: SimulationOptions
+) -> ImageArray:
+    """Precompute what the signal needs of a height field alone.
 
     Parameters
     ----------
     height_um : (rows, cols) float32 array
-        Heights; rows run along -y.
+        Heights, NaN where there is none; rows run along -y.
     pitch_um : float
         Distance of the nodes.
+    sky_reach_px : float
+        How far a wall shadows, in px of the image.
     options : SimulationOptions
         `edge_px` and the pixel size are used.
 
     Returns
     -------
-    (rows, cols, 4) float32 array
-        Slopes dz/dx and dz/dy, thinness of convex edges in [0, 1], share of open sky in [0, 1].
+    (rows, cols, 5) float32 array
+        Normal (not of unit length), thinness of convex edges in [0, 1], share of open sky in [0, 1].
     """
-    layers = np.empty((*height_um.shape, 4), dtype=np.float32)
+    unknown = np.isnan(height_um)
+    if unknown.any():
+        nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
+        height_um = height_um[tuple(nearest)]
+    layers = np.empty((*height_um.shape, 5), dtype=np.float32)
     along_rows, along_cols = np.gradient(height_um, pitch_um)
-    layers[..., 0], layers[..., 1] = along_cols, -along_rows
+    layers[..., 0], layers[..., 1], layers[..., 2] = -along_cols, along_rows, 1.0
     escape_um = max(options.edge_px * options.pixel_size_um, pitch_um)
     mean = ndimage.gaussian_filter(height_um, escape_um / pitch_um, mode="nearest", truncate=3.0)
-    layers[..., 2] = np.clip((height_um - mean) / escape_um, 0.0, 1.0)
+    layers[..., 3] = np.clip((height_um - mean) / escape_um, 0.0, 1.0)
     coarse = np.ascontiguousarray(height_um[::2, ::2])
-    sky = open_sky(coarse, 2 * pitch_um, 64 * options.pixel_size_um)
+    sky = open_sky(coarse, 2 * pitch_um, sky_reach_px * options.pixel_size_um)
     rows, cols = (np.arange(n, dtype=np.float32) / 2 for n in height_um.shape)
-    layers[..., 3] = ndimage.map_coordinates(
+    layers[..., 4] = ndimage.map_coordinates(
         sky, np.meshgrid(rows, cols, indexing="ij"), order=1, mode="nearest", output=np.float32
     )
     return layers
@@ -87,80 +95,98 @@ def secondary_yield(cos_theta: float, saturation: float) -> float:  # pragma: no
 
 
 @njit(nogil=True, cache=True)
-def shade(
-    hit: Any, xy_um: Any, layers: Any, to_source: Any, to_detector: Any, strengths: Any, seed: int, out: Any
+def backscatter_yield(cos_theta: float, atomic_number: float) -> float:  # pragma: no cover - compiled
+    """Return the yield relative to normal incidence, ((1 + cos(theta)) / 2)^(-9 / sqrt(Z)).
+
+    Arnal, Verdier & Vincensini, C. R. Acad. Sci. 268 (1969) 1526; Reimer 1998, equation 4.15.
+    """
+    return math.pow((1.0 + max(cos_theta, 0.0)) / 2.0, -9.0 / math.sqrt(atomic_number))
+
+
+@njit(nogil=True, cache=True)
+def apply_material(
+    position: Any, attributes: Any, texture: float, wavelength: float, bump: float, seed: int, factor: Any
 ) -> None:  # pragma: no cover - compiled
-    """Compute the signal at each hit point.
+    """Turn the normals by the material's fine bumps, and give the factor by which its texture changes the yield.
 
     Parameters
     ----------
-    hit : (N, 3) float array
-        Grid col, row and height in um, NaN where there is no surface.
-    xy_um : (N, 2) float array
-        World position of the hits.
-    layers : (rows, cols, 4) float32 array
-        As of `surface_layers`.
-    to_source, to_detector : (3,) float array
-        Unit vectors in the specimen's world frame.
-    strengths : (7,) float array
-        As of `strengths_of`.
+    position : (N, 3) float array
+        Points in um in the world's frame, NaN for none: the texture belongs to the surface.
+    attributes : (N, 5) float array
+        As of `Surface.attributes`; the normals are changed in place.
+    texture, wavelength, bump : float
+        Relative rms, coarsest wavelength in um, rms slope of the bumps.
     seed : int
-        Seed of the material texture.
-    out : (N,) float array
-        Output: signal, 1 for a smooth level open surface in front of an isotropic detector; 0 without a surface.
+        Seed of the texture.
+    factor : (N,) float array
+        Output, 0 where there is no surface.
     """
-    rows, cols = layers.shape[:2]
-    saturation, edge_gain, asymmetry, cavity, texture, wavelength, bump = strengths
     noise, scratch = np.zeros(4), np.zeros(4)
-    layer = np.empty(4)
-    for n in range(hit.shape[0]):
-        x, y, z = hit[n, 0], hit[n, 1], hit[n, 2]
+    for n in range(position.shape[0]):
+        x, y, z = position[n, 0] / wavelength, position[n, 1] / wavelength, position[n, 2] / wavelength
         if math.isnan(z):
+            factor[n] = 0.0
+            continue
+        octave_noise(x, y, z, TEXTURE_OCTAVES, seed, scratch, noise)
+        nx, ny, nz = attributes[n, 0], attributes[n, 1], attributes[n, 2]
+        # Tilt the normal against the part of the gradient that lies in the surface.
+        along = noise[1] * nx + noise[2] * ny + noise[3] * nz
+        nx -= bump * (noise[1] - along * nx)
+        ny -= bump * (noise[2] - along * ny)
+        nz -= bump * (noise[3] - along * nz)
+        norm = math.sqrt(nx * nx + ny * ny + nz * nz)
+        attributes[n, 0], attributes[n, 1], attributes[n, 2] = nx / norm, ny / norm, nz / norm
+        factor[n] = max(0.0, 1.0 + texture * noise[0])
+
+
+@njit(nogil=True, cache=True)
+def secondary_signal(
+    attributes: Any, factor: Any, beam: Any, to_detector: Any, strengths: Any, out: Any
+) -> None:  # pragma: no cover - compiled
+    """Compute the signal of secondary electrons.
+
+    Parameters
+    ----------
+    attributes : (N, 5) float array
+        Unit normal, thinness, open sky.
+    factor : (N,) float array
+        Factor of the texture, 0 where there is no surface.
+    beam : (1, 3) or (N, 3) float array
+        Unit vectors along the beam, away from the source.
+    to_detector : (3,) float array
+        Unit vector to the detector in the world's frame.
+    strengths : (4,) float array
+        Yield's saturation, gain of edges, detector asymmetry, shadowing in cavities.
+    out : (N,) float array
+        Output: 1 for a smooth level open surface in front of an isotropic detector.
+    """
+    saturation, edge_gain, asymmetry, cavity = strengths
+    for n in range(len(factor)):
+        if factor[n] == 0.0:
             out[n] = 0.0
             continue
-        ix, iy = min(max(int(x), 0), cols - 2), min(max(int(y), 0), rows - 2)
-        fx, fy = x - ix, y - iy
-        for i in range(4):
-            layer[i] = (1.0 - fy) * ((1.0 - fx) * layers[iy, ix, i] + fx * layers[iy, ix + 1, i]) + fy * (
-                (1.0 - fx) * layers[iy + 1, ix, i] + fx * layers[iy + 1, ix + 1, i]
-            )
-        nx, ny, nz = -layer[0], -layer[1], 1.0
-        norm = math.sqrt(nx * nx + ny * ny + nz * nz)
-        nx, ny, nz = nx / norm, ny / norm, nz / norm
-        if texture > 0.0 or bump > 0.0:
-            octave_noise(
-                xy_um[n, 0] / wavelength,
-                xy_um[n, 1] / wavelength,
-                z / wavelength,
-                TEXTURE_OCTAVES,
-                seed,
-                scratch,
-                noise,
-            )
-            # Tilt the normal against the part of the gradient that lies in the surface.
-            along = noise[1] * nx + noise[2] * ny + noise[3] * nz
-            nx -= bump * (noise[1] - along * nx)
-            ny -= bump * (noise[2] - along * ny)
-            nz -= bump * (noise[3] - along * nz)
-            norm = math.sqrt(nx * nx + ny * ny + nz * nz)
-            nx, ny, nz = nx / norm, ny / norm, nz / norm
-        value = secondary_yield(nx * to_source[0] + ny * to_source[1] + nz * to_source[2], saturation)
-        value *= 1.0 + edge_gain * layer[2]
-        value *= 1.0 - cavity * (1.0 - layer[3])
+        m = min(n, beam.shape[0] - 1)
+        nx, ny, nz = attributes[n, 0], attributes[n, 1], attributes[n, 2]
+        value = factor[n] * secondary_yield(-nx * beam[m, 0] - ny * beam[m, 1] - nz * beam[m, 2], saturation)
+        value *= 1.0 + edge_gain * attributes[n, 3]
+        value *= 1.0 - cavity * (1.0 - attributes[n, 4])
         value *= max(0.0, 1.0 + asymmetry * (nx * to_detector[0] + ny * to_detector[1] + nz * to_detector[2]))
-        out[n] = value * max(0.0, 1.0 + texture * noise[0])
+        out[n] = value
 
 
-def strengths_of(options: SimulationOptions) -> FloatArray:
-    """Return the signal's strengths (7,) in the order of `shade`; the texture's wavelength is in um."""
-    return np.array(
-        [
-            options.yield_saturation,
-            options.edge_gain,
-            options.detector_asymmetry,
-            options.cavity,
-            options.texture,
-            max(options.texture_px, 1e-3) * options.pixel_size_um,
-            options.texture_bump,
-        ]
-    )
+@njit(nogil=True, cache=True)
+def backscattered_signal(
+    attributes: Any, factor: Any, beam: Any, to_segment: Any, level: float, atomic_number: float, out: Any
+) -> None:  # pragma: no cover - compiled
+    """Compute the signal of backscattered electrons in one segment: the yield, shared out by Lambert's cosine law.
+
+    Parameters as of `secondary_signal`; `to_segment` (3,) is the mean direction over the segment in the world's
+    frame, `level` its vertical part in the lab. `out` (N,) is 1 for a smooth level surface at zero tilt.
+    """
+    for n in range(len(factor)):
+        m = min(n, beam.shape[0] - 1)
+        nx, ny, nz = attributes[n, 0], attributes[n, 1], attributes[n, 2]
+        towards = max(0.0, nx * to_segment[0] + ny * to_segment[1] + nz * to_segment[2]) / level
+        cosine = -nx * beam[m, 0] - ny * beam[m, 1] - nz * beam[m, 2]
+        out[n] = factor[n] * backscatter_yield(cosine, atomic_number) * towards if factor[n] > 0.0 else 0.0

@@ -162,7 +162,7 @@ def spheres(size: SpecimenSize, rng: np.random.Generator) -> Specimen:
     table = np.array(kept)
     height = np.zeros(size.shape)
     stamp_spheres(height, size, table[:, [0, 1, 2]], table[:, 2])
-    height += _roughness(size, 0.0008 * size.field_um, 0.05 * size.field_um, rng)
+    height += _roughness(size, 0.002 * size.field_um, 0.1 * size.field_um, rng)
     return _specimen("spheres", height, size, rng, 0.3)
 
 
@@ -174,7 +174,7 @@ def grating(size: SpecimenSize, rng: np.random.Generator) -> Specimen:
     edge = _roughness(size, 0.002 * size.field_um, 0.05 * size.field_um, rng)
     phase = (x * np.cos(angle) + y * np.sin(angle) + edge) / pitch
     height = np.where(phase - np.floor(phase) < 0.5, 0.4 * pitch, 0.0)
-    height += _roughness(size, 0.0006 * size.field_um, 0.03 * size.field_um, rng)
+    height += _roughness(size, 0.001 * size.field_um, 0.06 * size.field_um, rng)
     return _specimen("grating", height, size, rng, 0.5)
 
 
@@ -191,7 +191,7 @@ def vickers(size: SpecimenSize, rng: np.random.Generator) -> Specimen:
     bulge = bulge * np.clip(1.0 - (np.minimum(np.abs(u), np.abs(v)) / half_width) ** 2, 0.0, 1.0)
     height = np.where(distance < 0, slope * distance + bulge * np.exp(distance / (0.02 * size.field_um)), bulge)
     height += _grooves(size, 40, 0.0015 * size.field_um, rng)
-    height += _roughness(size, 0.0006 * size.field_um, 0.05 * size.field_um, rng)
+    height += _roughness(size, 0.001 * size.field_um, 0.1 * size.field_um, rng)
     return _specimen("vickers", height, size, rng, 0.5)
 
 
@@ -231,9 +231,9 @@ def pollen(size: SpecimenSize, rng: np.random.Generator) -> Specimen:
     centres = (direction[:, None, :] * (radius * along)[None, :, None]).reshape(-1, 3)
     centres = np.vstack([np.zeros((1, 3)), centres])
     radii = np.concatenate([[radius], np.tile(thickness, count)])
-    height = -0.25 * radius + _roughness(size, 0.006 * size.field_um, 0.3 * size.field_um, rng)
+    height = -0.25 * radius + _roughness(size, 0.009 * size.field_um, 0.3 * size.field_um, rng)
     stamp_spheres(height, size, centres, radii)
-    height += _roughness(size, 0.0012 * size.field_um, 0.03 * size.field_um, rng)
+    height += _roughness(size, 0.0016 * size.field_um, 0.06 * size.field_um, rng)
     return _specimen("pollen", height, size, rng, 0.4)
 
 
@@ -261,7 +261,7 @@ def face(size: SpecimenSize, rng: np.random.Generator) -> Specimen:
         )
         features = features + bump(0.018, side * 0.17, -0.05, 0.07, 0.07)
     height = size.field_um * (head + features * np.clip(head / 0.1, 0.0, 1.0))
-    height = height + _roughness(size, 0.0012 * size.field_um, 0.03 * size.field_um, rng)
+    height = height + _roughness(size, 0.0022 * size.field_um, 0.06 * size.field_um, rng)
     return _specimen("face", height, size, rng, 0.5)
 
 

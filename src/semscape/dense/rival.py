@@ -1,7 +1,7 @@
-"""The rival: OpenCV's StereoSGBM on the widest pair, rectified and triangulated with our own cameras.
+"""The rival to compare with: OpenCV's StereoSGBM on the widest pair, rectified and triangulated with our own cameras.
 
 It gets everything but the matching for free: our calibration, our rectified frame and our height range. So the
-difference to ours is that of the dense stage alone: all views, fusion and refinement against one pair.
+difference is that of the dense stage alone: all views, fusion and refinement against one pair.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from semscape.dense.fuse import to_zero_tilt
 from semscape.dense.rectify import rectified_frame, warp_to_frame
-from semscape.dense.surface import _height_range_px, _resample
-from semscape.types import FloatArray, HeightMap, ImageArray, Result
+from semscape.dense.surface import choose_pairs, height_range_px, resample
+from semscape.types import BoolArray, HeightMap, ImageArray, Result
 
 _BLOCK_PX = 7
 _MARGIN_PX = 4
@@ -22,19 +23,37 @@ _SUBPIXEL_STEPS = 16
 
 
 def sgbm_height_map(result: Result) -> HeightMap:
-    """Return the height map that StereoSGBM (mode HH, block 7) makes from the two extreme views of a result."""
+    """Return the height map that StereoSGBM (mode HH, block 7) makes from two views of a result.
+
+    The pair is the widest up to 30 deg, as in our own dense stage; between views that differ more, no block matches.
+
+    Parameters
+    ----------
+    result : Result
+        Its calibration, frame and grid are used.
+
+    Returns
+    -------
+    HeightMap
+        Over the grid of the result's height map, without uncertainties.
+
+    References
+    ----------
+    H. Hirschmüller, "Stereo processing by semiglobal matching and mutual information", IEEE TPAMI 30 (2008),
+    doi:10.1109/TPAMI.2007.1166.
+    """
     series, reconstruction = result.series, result.reconstruction
     frame = rectified_frame(series, reconstruction)
-    first, last = int(np.argmin(frame.parallax)), int(np.argmax(frame.parallax))
+    ((first, last),) = choose_pairs(reconstruction.motion.tilt_rad, 1)
     warped = [warp_to_frame(series.views[i], i, reconstruction.motion, frame) for i in (first, last)]
     images = [_to_bytes(image, valid) for image, valid in warped]
     baseline = float(frame.parallax[last] - frame.parallax[first])
 
     # A height h is seen at u + h g, so OpenCV's disparity u1 - u2 is -h baseline.
-    low, high = (height * baseline for height in _height_range_px(reconstruction, frame))
+    low, high = (height * baseline for height in height_range_px(reconstruction, frame))
     least = int(np.floor(-high)) - _MARGIN_PX
     count = int(np.ceil((high - low + 2 * _MARGIN_PX) / _SUBPIXEL_STEPS)) * _SUBPIXEL_STEPS
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM.create(
         minDisparity=least,
         numDisparities=count,
         blockSize=_BLOCK_PX,
@@ -51,11 +70,11 @@ def sgbm_height_map(result: Result) -> HeightMap:
     at_zero_tilt = to_zero_tilt(-disparity / baseline, float(frame.parallax[first]))
 
     ours = result.height_map
-    height = _resample(at_zero_tilt, frame, ours.world_from_grid, series.shape) * frame.pixel_size_um
+    height = resample(at_zero_tilt, frame, ours.world_from_grid, series.shape) * frame.pixel_size_um
     return replace(ours, height_um=height, uncertainty_um=np.full(height.shape, np.nan))
 
 
-def _to_bytes(image: ImageArray, valid: np.ndarray) -> FloatArray:
+def _to_bytes(image: ImageArray, valid: BoolArray) -> NDArray[np.uint8]:
     """Return an image as uint8, its range stretched where it is wider or narrower than eight bits."""
     low, high = float(image[valid].min()), float(image[valid].max())
     if low < 0 or high > 255 or high < 64:
