@@ -17,10 +17,12 @@ from semscape.options import Options
 if TYPE_CHECKING:
     from semscape.io.series import load_series
     from semscape.pipeline import reconstruct
+    from semscape.report.conversion import convert
 
 __version__ = "0.1.0"
 
 _MODULE_OF = {
+    "convert": "semscape.report.conversion",
     "load_series": "semscape.io.series",
     "reconstruct": "semscape.pipeline",
 }
@@ -32,6 +34,7 @@ __all__ = [
     "Options",
     "SemscapeError",
     "TooFewMatchesError",
+    "convert",
     "load_series",
     "reconstruct",
 ]

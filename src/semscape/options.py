@@ -185,6 +185,37 @@ class MeasureOptions:
 
 
 @dataclass(frozen=True)
+class ConvertOptions:
+    """`semscape convert`, no stage of a run: how surfaces, prints and stereo pictures are written.
+
+    `unit` is that of meshes, "um", "mm" or "nm"; empty means the run's own. `color` is "micrograph" or a colour map of
+    matplotlib. `print_scale` is the magnification of the printed body; NaN means that its plate's longest side gets
+    `print_size_mm`. The stereo picture takes the two views whose tilts differ by what is closest to `stereo_angle_deg`:
+    two eyes 65 mm apart look at a page half a metre away under 7 deg.
+    """
+
+    unit: str = ""
+    color: str = "micrograph"
+    max_vertices: int = 400_000
+    print_scale: float = math.nan
+    print_size_mm: float = 100.0
+    base_mm: float = 2.0
+    stereo_angle_deg: float = 7.0
+
+    def __post_init__(self) -> None:
+        if self.unit not in {"", "um", "mm", "nm"}:
+            raise BadInputError(f"--unit {self.unit!r} is not known; there are um, mm and nm")
+        for flag, value in (
+            ("--max-vertices", max(self.max_vertices - 3, 0)),
+            ("--print-size-mm", self.print_size_mm),
+            ("--base-mm", self.base_mm),
+            ("--print-scale", 1.0 if math.isnan(self.print_scale) else self.print_scale),
+        ):
+            if not 0 < value < math.inf:
+                raise BadInputError(f"{flag} must be a positive number, and --max-vertices at least 4")
+
+
+@dataclass(frozen=True)
 class Options:
     """All options of a run.
 

@@ -7,14 +7,7 @@ from typing import Annotated
 
 import typer
 
-from semscape.cli.application import (
-    DebugOption,
-    FolderArgument,
-    OptionsOption,
-    SeedOption,
-    SetOption,
-    app,
-)
+from semscape.cli.application import DebugOption, FolderArgument, OptionsOption, SeedOption, SetOption, app
 from semscape.cli.outcome import exit_codes
 from semscape.flags import effective_options
 

@@ -1,17 +1,13 @@
-"""What becomes of a surface: `measure`."""
+"""What becomes of a surface: `measure` and `convert`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from semscape.cli.application import (
-    DebugOption,
-    SeedOption,
-    app,
-)
+from semscape.cli.application import DebugOption, QuietOption, SeedOption, app
 from semscape.cli.outcome import console, exit_codes
 
 _PLACE = " In px, or 1.5,2,40,2um."
@@ -58,3 +54,32 @@ def measure(
             typer.echo(measured.json(), nl=False)
         else:
             print_measurement(measured, console())
+
+
+@app.command(short_help="Write the surface in other programs' formats.")
+def convert(
+    run: Annotated[Path, typer.Argument(help="Run folder of semscape reconstruct.", metavar="RUN")],
+    to: Annotated[str, typer.Option("--to", metavar="LIST", help="Formats, like x3p,stl; see docs/files.md.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="PATH", help="Folder, or a file for one format.")],
+    unit: Annotated[str | None, typer.Option(metavar="UNIT", help="Unit of meshes: um, mm or nm.")] = None,
+    color: Annotated[str | None, typer.Option(metavar="MAP", help="micrograph, or by height: viridis, ...")] = None,
+    max_vertices: Annotated[int | None, typer.Option(metavar="N", help="Largest number of a mesh's vertices.")] = None,
+    print_scale: Annotated[float | None, typer.Option(metavar="N", help="Magnification of the print.")] = None,
+    print_size_mm: Annotated[float | None, typer.Option(metavar="MM", help="Longest side of the plate.")] = None,
+    base_mm: Annotated[float | None, typer.Option(metavar="MM", help="Thickness of the print's plate.")] = None,
+    images: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Images of the run, for stereo.")] = None,
+    quiet: QuietOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Write the surface of a run for other programs: meshes, height maps, a 3D print, stereo pictures."""
+    with exit_codes(debug=debug, quiet=quiet):
+        from semscape.options import ConvertOptions
+        from semscape.report.conversion import convert as convert_run
+
+        given: dict[str, Any] = {"unit": unit, "color": color, "max_vertices": max_vertices, "print_scale": print_scale}
+        given |= {"print_size_mm": print_size_mm, "base_mm": base_mm}
+        options = ConvertOptions(**{name: value for name, value in given.items() if value is not None})
+        formats = [name.strip().lower() for name in to.split(",") if name.strip()]
+        for path in convert_run(run, formats, output, options, images=images):
+            if not quiet:
+                typer.echo(path)

@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from semscape.cli.application import (
-    DebugOption,
-    PixelSizeOption,
-    QuietOption,
-    SeedOption,
-    WorkersOption,
-    app,
-)
+from semscape.cli.application import DebugOption, PixelSizeOption, QuietOption, SeedOption, WorkersOption, app
 from semscape.cli.outcome import exit_codes
 from semscape.cli.surface import run_into
 from semscape.flags import effective_options, simulation_options

@@ -18,10 +18,7 @@ def height_map_mesh(
     Triangles that span an unknown pixel, or a slope steeper than `steepest_slope` (by default 83 deg, a
     depth jump), are left out.
     """
-    rows, columns = height_map.height_um.shape
-    stride = max(1, int(np.sqrt(height_map.height_um.size / max_vertices)))
-    while -(-rows // stride) * -(-columns // stride) > max_vertices:
-        stride += 1
+    stride = grid_stride(height_map, max_vertices)
     height = height_map.height_um[::stride, ::stride]
     row, col = (axis * stride for axis in np.indices(height.shape))
     known = np.isfinite(height)
@@ -52,6 +49,15 @@ def height_map_mesh(
         np.repeat(grey[:, None], 3, axis=1),
         height_map.length_unit,
     )
+
+
+def grid_stride(height_map: HeightMap, max_vertices: int) -> int:
+    """Return the least n such that every n-th row and column of the grid make at most `max_vertices`."""
+    rows, columns = height_map.height_um.shape
+    stride = max(1, int(np.sqrt(height_map.height_um.size / max_vertices)))
+    while -(-rows // stride) * -(-columns // stride) > max_vertices:
+        stride += 1
+    return stride
 
 
 def grey_levels(image: ImageArray) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""Read back what measuring needs of a run folder: the height map and how far its heights can be trusted."""
+"""Read back what measuring and converting need of a run folder: height map, how far to trust it, and the views."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from semscape.errors import BadInputError
 from semscape.io.surfaces import read_height_map
-from semscape.options import read_toml
-from semscape.types import HeightMap
+from semscape.options import InputOptions, read_toml
+from semscape.types import FloatArray, HeightMap, Motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +57,55 @@ def read_finished_run(path: Path | str) -> FinishedRun:
         ambiguity=str(reconstruction.get("ambiguity", "")),
         verdict=str(report.get("verdict", "")),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedViews:
+    """The calibrated views of a run: `names`, their `digests`, `motion`, the index of the reference, what was told."""
+
+    names: tuple[str, ...]
+    digests: tuple[str, ...]
+    motion: Motion
+    reference: int
+    told: InputOptions
+
+
+def read_finished_views(folder: Path | str) -> FinishedViews:
+    """Read the calibrated views of a run folder.
+
+    Raises
+    ------
+    BadInputError
+        If this is no complete run folder.
+    """
+    path = Path(folder)
+    reconstruction, report = _read_json(path / "reconstruction.json"), _read_json(path / "report.json")
+    try:
+        views, unit = reconstruction["views"], reconstruction["length_unit"]
+
+        def column(key: str) -> FloatArray:
+            return np.array([view[key] for view in views], dtype=np.float64)
+
+        names = tuple(view["name"] for view in views)
+        digests = {image["name"]: image["digest"] for image in report["inputs"]}
+        return FinishedViews(
+            names=names,
+            digests=tuple(digests[name] for name in names),
+            motion=Motion(
+                axis_angle_rad=math.radians(reconstruction["axis_deg"]),
+                tilt_rad=np.deg2rad(column("tilt_deg")),
+                roll_rad=np.deg2rad(column("roll_deg")),
+                scale_px_per_um=column(f"scale_px_per_{unit}"),
+                anisotropy=column("anisotropy"),
+                translation_px=column("t_px"),
+            ),
+            reference=names.index(reconstruction["reference_view"]),
+            told=read_toml((path / "options.toml").read_text(encoding="utf-8")).input,
+        )
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise BadInputError(
+            f"{path} is not a complete run folder: {error!r}; run semscape reconstruct again"
+        ) from error
 
 
 def _read_json(path: Path) -> dict[str, Any]:

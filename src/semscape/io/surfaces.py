@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import zipfile
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,18 @@ from numpy.typing import NDArray
 from semscape.errors import BadInputError
 from semscape.types import FloatArray, HeightMap, LengthUnit, SurfaceMesh
 
-_UNIT_NAMES: dict[LengthUnit, str] = {"um": "micrometre (um)", "px": "pixel (px): the series has no pixel size"}
+NEEDS_PIXEL_SIZE = "run semscape reconstruct again with --pixel-size-um or --scale-bar-um"
+"""The way out of every refusal to state a length of a run that is in px."""
+
+MeshUnit = Literal["um", "mm", "nm"]
+
+_UNIT_NAMES: dict[LengthUnit | MeshUnit, str] = {
+    "um": "micrometre (um)",
+    "mm": "millimetre (mm)",
+    "nm": "nanometre (nm)",
+    "px": "pixel (px): the series has no pixel size",
+}
+_PER_UM: dict[MeshUnit, float] = {"um": 1.0, "mm": 1e-3, "nm": 1e3}
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
 
@@ -49,30 +60,55 @@ def encode_points_ply(points_um: FloatArray, sigma_um: FloatArray, unit: LengthU
     return _ply_header("sparse points", unit, vertices, 0) + vertices.tobytes()
 
 
-def encode_mesh_ply(mesh: SurfaceMesh) -> bytes:
-    """Return a mesh as a binary PLY with a colour per vertex and its unit in the header."""
+def vertices_in(mesh: SurfaceMesh, unit: MeshUnit | None) -> tuple[FloatArray, LengthUnit | MeshUnit]:
+    """Return a mesh's vertices (P, 3) in a unit, None for the mesh's own, and that unit.
+
+    Raises
+    ------
+    BadInputError
+        If the mesh is in px: nothing tells its size.
+
+    Examples
+    --------
+    >>> corner = np.array([[2000.0, 0.0, 500.0]])
+    >>> mesh = SurfaceMesh(corner, np.empty((0, 3), np.int64), np.zeros((1, 3), np.uint8), "um")
+    >>> vertices_in(mesh, "mm")
+    (array([[2. , 0. , 0.5]]), 'mm')
+    """
+    if unit is None:
+        return mesh.vertices_um, mesh.length_unit
+    if mesh.length_unit == "px":
+        raise BadInputError(f"the run has no pixel size, so its mesh cannot be written in {unit}; {NEEDS_PIXEL_SIZE}")
+    return mesh.vertices_um * _PER_UM[unit], unit
+
+
+def encode_mesh_ply(mesh: SurfaceMesh, unit: MeshUnit | None = None) -> bytes:
+    """Return a mesh as a binary PLY with a colour per vertex and its unit in the header; None keeps the mesh's own."""
+    positions, length_unit = vertices_in(mesh, unit)
     vertices = np.empty(
         len(mesh.vertices_um), dtype=[(name, "<f4") for name in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")]
     )
     for axis, (name, channel) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
-        vertices[name] = mesh.vertices_um[:, axis]
+        vertices[name] = positions[:, axis]
         vertices[channel] = mesh.color[:, axis]
     faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("indices", "<i4", (3,))])
     faces["count"] = 3
     faces["indices"] = mesh.faces
-    return _ply_header("surface", mesh.length_unit, vertices, len(faces)) + vertices.tobytes() + faces.tobytes()
+    return _ply_header("surface", length_unit, vertices, len(faces)) + vertices.tobytes() + faces.tobytes()
 
 
-def encode_mesh_glb(mesh: SurfaceMesh) -> bytes:
+def encode_mesh_glb(mesh: SurfaceMesh, unit: MeshUnit | None = None) -> bytes:
     """Return a mesh as binary glTF.
 
-    glTF means metres and y up; the numbers here stay in the mesh's own unit with z up, as the run folder
+    glTF means metres and y up; the numbers here are in `unit` (None: the mesh's own) with z up, as the run folder
     promises, and `asset.extras` says so. A viewer that knows nothing of it shows the surface from above.
     """
     import trimesh
 
+    vertices, length_unit = vertices_in(mesh, unit)
+
     def describe(tree: dict[str, Any]) -> None:
-        tree["asset"]["extras"] = {"length_unit": mesh.length_unit, "up_axis": "z", "made_by": "semscape"}
+        tree["asset"]["extras"] = {"length_unit": length_unit, "up_axis": "z", "made_by": "semscape"}
         # Without a material glTF means polished metal, which most viewers show as black.
         tree["materials"] = [
             {"name": "micrograph", "doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0}},
@@ -85,7 +121,7 @@ def encode_mesh_glb(mesh: SurfaceMesh) -> bytes:
         raise ValueError("a mesh without faces cannot be written as glTF")
     # process=False: trimesh would merge vertices, and the files would no longer hold the same mesh.
     surface = trimesh.Trimesh(
-        vertices=mesh.vertices_um, faces=mesh.faces, vertex_colors=mesh.color, process=False, validate=False
+        vertices=vertices, faces=mesh.faces, vertex_colors=mesh.color, process=False, validate=False
     )
     export: Any = trimesh.Scene([surface]).export  # trimesh does not type it
     return cast("bytes", export(file_type="glb", include_normals=True, tree_postprocessor=describe))
@@ -147,15 +183,20 @@ def read_height_map(path: Path | str) -> HeightMap:
         raise BadInputError(f"{path} is not a height map of semscape (height_map.npz): {error}") from error
 
 
+def describe_height_map(height_map: HeightMap) -> str:
+    """Return the line that says what the numbers of a height map mean, in ASCII."""
+    unit, pixel = height_map.length_unit, float(height_map.pixel_size_um)
+    return (
+        f"semscape height map; heights in {_UNIT_NAMES[unit]}; NaN = no data; "
+        f"grid spacing {pixel:.9g} {unit}; first row = largest y"
+    )
+
+
 def encode_height_map_tif(height_map: HeightMap) -> bytes:
     """Return the heights as a plain one-page float32 TIFF, NaN where unknown; its description states the unit."""
     import tifffile
 
     unit, pixel = height_map.length_unit, float(height_map.pixel_size_um)
-    description = (
-        f"semscape height map; heights in {_UNIT_NAMES[unit]}; NaN = no data; "
-        f"grid spacing {pixel:.9g} {unit}; first row = largest y"
-    )
     buffer = io.BytesIO()
     tifffile.imwrite(
         buffer,
@@ -163,7 +204,7 @@ def encode_height_map_tif(height_map: HeightMap) -> bytes:
         photometric="minisblack",
         compression="zlib",
         predictor=False,
-        description=description,
+        description=describe_height_map(height_map),
         metadata=None,
         software=False,
         datetime=False,
@@ -174,13 +215,18 @@ def encode_height_map_tif(height_map: HeightMap) -> bytes:
     return buffer.getvalue()
 
 
-def _ply_header(what: str, unit: LengthUnit, vertices: NDArray[Any], n_faces: int) -> bytes:
+def describe_mesh(what: str, unit: LengthUnit | MeshUnit) -> str:
+    """Return the line that says what the numbers of a mesh or of points mean, in ASCII."""
+    return f"semscape {what}; unit of length: {_UNIT_NAMES[unit]}; x right, y up, z towards the electron source"
+
+
+def _ply_header(what: str, unit: LengthUnit | MeshUnit, vertices: NDArray[Any], n_faces: int) -> bytes:
     """Return the header of a binary little-endian PLY for a structured array of vertices."""
     names = {"<f8": "double", "<f4": "float", "|u1": "uchar"}
     lines = [
         "ply",
         "format binary_little_endian 1.0",
-        f"comment semscape {what}; unit of length: {_UNIT_NAMES[unit]}; x right, y up, z towards the electron source",
+        f"comment {describe_mesh(what, unit)}",
         f"element vertex {len(vertices)}",
     ]
     assert vertices.dtype.names is not None  # a structured array has names
