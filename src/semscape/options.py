@@ -50,6 +50,7 @@ _RANGES = {
     "sfm.max_tilt_deg": _Range(0, 80, above=True),
     "sfm.de_generations": _Range(1),
     "sfm.de_population_per_variable": _Range(2),
+    "sfm.de_tolerance": _Range(0),
     "sfm.max_iterations": _Range(1),
     "dense.max_pairs": _Range(1),
     "dense.census_radius_px": _Range(1, 3),
@@ -62,7 +63,7 @@ _RANGES = {
     "run.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
-_CHOICES = {"features.detector": ["sift"]}
+_CHOICES = {"features.detector": ["sift"], "sfm.de_strategy": ["best1bin", "rand1bin"]}
 
 
 class _Stage:
@@ -108,17 +109,20 @@ class RobustOptions(_Stage):
 class SfmOptions(_Stage):
     """Motion of the series: priors (1 sigma), Differential Evolution and bundle adjustment.
 
-    `prior_tilt_deg` is the trust in a stage tilt that is known; `invert_relief` mirrors a self-calibrated
+    `prior_tilt_deg` is the trust in a stage tilt that is known. The search ends after `de_generations`, or where the
+    population's costs differ by less than `de_tolerance`, relatively. `invert_relief` mirrors a self-calibrated
     series whose sign nothing but the shading fixes.
     """
 
     prior_tilt_deg: float = 0.1
     prior_roll_deg: float = 0.5
     prior_scale: float = 0.002
-    prior_anisotropy: float = 0.0005
+    prior_anisotropy: float = 0.001
     max_tilt_deg: float = 40.0
     de_generations: int = 120
     de_population_per_variable: int = 8
+    de_strategy: str = "best1bin"
+    de_tolerance: float = 1e-6
     max_iterations: int = 50
     invert_relief: bool = False
 

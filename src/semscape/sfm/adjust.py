@@ -7,16 +7,15 @@ This walks the bas-relief valley in a few steps, where alternating or first-orde
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from semscape.errors import DegenerateGeometryError
 from semscape.geometry.rotations import CAM_FROM_WORLD_AT_ZERO_TILT, axis_rotation, roll_rotation
+from semscape.sfm.noise import noise_sigma_px
 from semscape.sfm.priors import MotionPrior
-from semscape.sfm.schur import KERNEL_PARAMETERS, accumulate_schur
+from semscape.sfm.schur import camera_equations, cauchy_weights, solve_points
 from semscape.types import FloatArray, Observations
 
 PARAMETERS_PER_VIEW = 6  # tilt, roll, relative scale, anisotropy, x and y translation
@@ -25,10 +24,8 @@ _TRANSLATION_SIGMA_PX = 100.0
 _RELATIVE_TOLERANCE = 1e-14
 _REWEIGHTING_TOLERANCE = 1e-7
 _STEPS_PER_REWEIGHTING = 3
-_INLIER_WEIGHT = 0.2
-_CELLS = 4
+_ROUNDS_PER_POINT = 8
 _UNDETERMINED = "the tracks do not determine the motion of the series: more matches or a wider tilt range are needed"
-_LEAST_PER_CELL = 10
 
 
 @dataclass(frozen=True)
@@ -73,7 +70,7 @@ def adjust(
     max_iterations : int
         Largest number of reweighting rounds.
     overdispersion : float
-        Variance inflation of the data, from `residual_overdispersion`; 1 for independent keypoints.
+        Variance inflation of the data, from `noise.residual_overdispersion`; 1 for independent keypoints.
 
     Raises
     ------
@@ -85,13 +82,12 @@ def adjust(
     Triggs et al. 2000, doi:10.1007/3-540-44480-7_21 (bundle adjustment); Golub & Pereyra 1973,
     doi:10.1137/0710036 (variable projection).
     """
-    problem = _Problem(observations, prior)
+    problem = Problem(observations, prior)
     weights = np.ones(len(observations.view))
     iterations = 0
     for _ in range(max_iterations):
-        residual = problem.residuals(parameters, weights)
-        sigma_px = noise_sigma_px(residual, observations)
-        weights = 1 / (1 + (residual**2).sum(axis=1) / (_CAUCHY * sigma_px) ** 2)
+        sigma_px = noise_sigma_px(problem.residuals(parameters, weights), observations)
+        weights = problem.cauchy_weights(parameters, sigma_px)
         information = weights / (sigma_px**2 * overdispersion)
         start = parameters
         parameters, _, steps = problem.minimize(parameters, information, max_steps=_STEPS_PER_REWEIGHTING)
@@ -111,65 +107,16 @@ def adjust(
     )
 
 
-def noise_sigma_px(residual_px: FloatArray, observations: Observations) -> float:
-    """Estimate the noise of one coordinate from the residuals (K, 2), robustly.
-
-    A track of m views leaves 2 m - 3 of its 2 m residuals free, the rest is absorbed by its point: its squared
-    residuals sum to sigma^2 times a chi-square of so many degrees of freedom. Medians over the tracks of each length
-    keep outliers out.
-    """
-    squared = np.bincount(observations.point, (residual_px**2).sum(axis=1))
-    length = np.bincount(observations.point)
-    total = tracks = 0.0
-    for m in np.unique(length):
-        of_length = squared[length == m]
-        total += len(of_length) * float(np.median(of_length)) / float(chi2.median(2 * m - 3))
-        tracks += len(of_length)
-    return max(math.sqrt(total / tracks), 1e-3)
-
-
-def free_share(observations: Observations) -> FloatArray:
-    """Return for each observation (K,) the share of its residual's variance that its point does not absorb."""
-    length = np.bincount(observations.point)[observations.point]
-    share: FloatArray = (2.0 * length - 3.0) / (2.0 * length)
-    return share
-
-
-def residual_overdispersion(
-    residual_px: FloatArray, observations: Observations, weights: FloatArray, sigma_px: float, n_views: int
-) -> float:
-    """Estimate by how much neighbouring residuals move together: the variance inflation of smooth errors.
-
-    Scan distortions shift whole regions of an image alike, so that N keypoints tell less about the motion than N
-    independent ones. Over a 4 x 4 grid of each view and coordinate, the mean squared cell sum per keypoint is
-    compared with the variance of independent residuals; 1 means independent.
-    """
-    standardized = residual_px / np.sqrt(free_share(observations))[:, None]
-    inlier = weights > _INLIER_WEIGHT
-    low, high = observations.xy[inlier].min(axis=0), observations.xy[inlier].max(axis=0)
-    cell_xy = np.minimum((observations.xy - low) / (high - low + 1e-9) * _CELLS, _CELLS - 1).astype(np.int64)
-    cell = (observations.view * _CELLS + cell_xy[:, 1]) * _CELLS + cell_xy[:, 0]
-    size = n_views * _CELLS**2
-    count = np.bincount(cell[inlier], minlength=size)
-    filled = count >= _LEAST_PER_CELL
-    if not filled.any():
-        return 1.0
-    ratios = [
-        np.mean(np.bincount(cell[inlier], standardized[inlier, axis], minlength=size)[filled] ** 2 / count[filled])
-        / sigma_px**2
-        for axis in (0, 1)
-    ]
-    return float(max(1.0, np.mean(ratios)))
-
-
 @dataclass(frozen=True)
-class _NormalEquations:
+class NormalEquations:
+    """Of all parameters, after the points are eliminated: half the cost's second and minus half its first derivative."""
+
     hessian: FloatArray
     gradient: FloatArray
     cost: float
 
 
-class _Problem:
+class Problem:
     """The tracks and priors, ready for evaluation."""
 
     def __init__(self, observations: Observations, prior: MotionPrior) -> None:
@@ -178,8 +125,10 @@ class _Problem:
         self.n_views = prior.n_views
         self.scale = prior.scale_px_per_um
         centre, sigma = prior.centre_and_sigma()
-        per_view = np.arange(self.n_views)[:, None] * PARAMETERS_PER_VIEW + 1 + np.arange(4)
-        self.prior_index = np.concatenate([[0], per_view.ravel()])
+        per_view = np.arange(self.n_views)[:, None] * PARAMETERS_PER_VIEW + 1 + np.arange(PARAMETERS_PER_VIEW)
+        # The axis, which all views share, then each view's own: where the kernel's parameters stand among ours.
+        self.index = np.column_stack([np.zeros(self.n_views, dtype=np.int64), per_view])
+        self.prior_index = np.concatenate([[0], per_view[:, :4].ravel()])
         self.prior_centre = centre
         self.prior_weight = np.where(np.isfinite(sigma), 1 / sigma, 0.0)
 
@@ -216,23 +165,17 @@ class _Problem:
                 damping *= 10
         return parameters, equations.cost, steps
 
-    def normal_equations(self, parameters: FloatArray, weights: FloatArray) -> _NormalEquations:
+    def normal_equations(self, parameters: FloatArray, weights: FloatArray) -> NormalEquations:
         """Build the camera system after the points are eliminated, priors included."""
-        matrices, derivatives, translations = self._cameras(parameters)
-        blocks = np.zeros((self.n_views, self.n_views, KERNEL_PARAMETERS, KERNEL_PARAMETERS))
-        gradients = np.zeros((self.n_views, KERNEL_PARAMETERS))
-        points = np.empty((len(self.start) - 1, 3))
-        cost = accumulate_schur(
-            self.start, self.view, self.xy, weights, matrices, derivatives, translations, blocks, gradients, points
+        blocks, gradients, cost = camera_equations(
+            self.start, self.view, self.xy, weights, *camera_jacobians(parameters, self.scale)
         )
-        size = 1 + PARAMETERS_PER_VIEW * self.n_views
-        expand = np.zeros((self.n_views, KERNEL_PARAMETERS, size))
-        for view in range(self.n_views):
-            expand[view, 0, 0] = 1
-            first = 1 + PARAMETERS_PER_VIEW * view
-            expand[view, 1:, first : first + PARAMETERS_PER_VIEW] = np.eye(PARAMETERS_PER_VIEW)
-        hessian = np.einsum("apm,abpq,bqn->mn", expand, blocks, expand, optimize=True)
-        gradient = np.einsum("apm,ap->m", expand, gradients)
+        if not np.isfinite(cost):
+            raise DegenerateGeometryError(_UNDETERMINED)
+        size = len(parameters)
+        hessian, gradient = np.zeros((size, size)), np.zeros(size)
+        np.add.at(hessian, (self.index[:, :, None, None], self.index), blocks)
+        np.add.at(gradient, self.index, gradients)
         deviation = (parameters[self.prior_index] - self.prior_centre) * self.prior_weight
         hessian[self.prior_index, self.prior_index] += self.prior_weight**2
         gradient[self.prior_index] -= deviation * self.prior_weight
@@ -240,53 +183,40 @@ class _Problem:
         for offset in (5, 6):
             index = np.arange(self.n_views) * PARAMETERS_PER_VIEW + offset
             hessian[index, index] += _TRANSLATION_SIGMA_PX**-2
-        return _NormalEquations(hessian, gradient, cost + float(deviation @ deviation))
+        return NormalEquations(hessian, gradient, cost + float(deviation @ deviation))
 
     def residuals(self, parameters: FloatArray, weights: FloatArray) -> FloatArray:
         """Return the residuals (K, 2) px, every point at its best for the given weights."""
-        matrices, _, translations = self._cameras(parameters)
-        points, _ = self._triangulate(matrices, translations, weights)
-        point = np.repeat(np.arange(len(points)), np.diff(self.start))
-        residual: FloatArray = (
-            self.xy - translations[self.view] - np.einsum("kij,kj->ki", matrices[self.view], points[point])
+        return self._triangulate(parameters, weights)[2]
+
+    def cauchy_weights(self, parameters: FloatArray, sigma_px: float) -> FloatArray:
+        """Return the robust weights (K,) of the observations for noise `sigma_px`."""
+        matrices, _, translations = camera_jacobians(parameters, self.scale)
+        weights: FloatArray = cauchy_weights(
+            self.start, self.view, self.xy, matrices, translations, _CAUCHY * sigma_px, _ROUNDS_PER_POINT
         )
-        return residual
+        return weights
 
     def points_with_covariance(
         self, parameters: FloatArray, weights: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return points (P, 3) and their covariances (P, 3, 3): own noise and that of tilts and rolls."""
-        matrices, _, translations = self._cameras(parameters)
-        points, own = self._triangulate(matrices, translations, weights)
-        total = own.copy()
+        points, total, _ = self._triangulate(parameters, weights)
         spread, axes = np.linalg.eigh(covariance)
         strong = np.flatnonzero(spread > 1e-16 * spread[-1])
         for index in strong:
             nudge = axes[:, index] * np.sqrt(spread[index])
-            moved_matrices, _, moved_translations = self._cameras(parameters + nudge)
-            moved, _ = self._triangulate(moved_matrices, moved_translations, weights)
-            shift = moved - points
+            shift = self._triangulate(parameters + nudge, weights)[0] - points
             shift -= shift.mean(axis=0)  # a common shift is the choice of origin, not an error
             total += shift[:, :, None] * shift[:, None, :]
         return points, total
 
-    def _cameras(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return matrices (V, 2, 3), their derivatives (V, 5, 2, 3) and translations (V, 2)."""
-        return camera_jacobians(parameters, self.scale)
-
-    def _triangulate(
-        self, matrices: FloatArray, translations: FloatArray, weights: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        view = self.view
-        normal = np.einsum("k,kai,kaj->kij", weights, matrices[view], matrices[view])
-        right = np.einsum("k,kai,ka->ki", weights, matrices[view], self.xy - translations[view])
-        normal = np.add.reduceat(normal, self.start[:-1], axis=0)
-        right = np.add.reduceat(right, self.start[:-1], axis=0)
-        try:
-            inverse = np.linalg.inv(normal)
-        except np.linalg.LinAlgError as error:
-            raise DegenerateGeometryError(_UNDETERMINED) from error
-        return np.einsum("pij,pj->pi", inverse, right), inverse
+    def _triangulate(self, parameters: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        matrices, _, translations = camera_jacobians(parameters, self.scale)
+        points, covariance, residual = solve_points(self.start, self.view, self.xy, weights, matrices, translations)
+        if not np.isfinite(points).all():
+            raise DegenerateGeometryError(_UNDETERMINED)
+        return points, covariance, residual
 
 
 def camera_jacobians(parameters: FloatArray, scale_px_per_um: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -320,7 +250,7 @@ def camera_jacobians(parameters: FloatArray, scale_px_per_um: FloatArray) -> tup
         ],
         axis=1,
     )
-    return matrices, derivatives, per_view[:, 4:6]
+    return matrices, derivatives, np.ascontiguousarray(per_view[:, 4:6])
 
 
 def _cross_matrix(v: FloatArray) -> FloatArray:

@@ -10,15 +10,11 @@ from semscape.errors import BadInputError, TooFewMatchesError
 from semscape.geometry.cameras import camera_matrices
 from semscape.geometry.rotations import wrap_axis_angle
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import (
-    PARAMETERS_PER_VIEW,
-    Adjustment,
-    adjust,
-    free_share,
-    residual_overdispersion,
-)
+from semscape.sfm.adjust import PARAMETERS_PER_VIEW, Adjustment, adjust
+from semscape.sfm.anisotropy import adjust_learning_anisotropy
 from semscape.sfm.eliminated import pattern_scatters
 from semscape.sfm.evolve import Evolution, evolve
+from semscape.sfm.noise import free_share, residual_overdispersion
 from semscape.sfm.plausibility import (
     height_scale_warnings,
     perspective_warnings,
@@ -97,7 +93,7 @@ def calibrate(
         n_free = 2 * len(observations.view) - 3 * observations.n_points
         doubts += stage_contradictions(patterns, evolution.parameters, unbound.parameters, n_free, prior)
     first = adjust(
-        _start_parameters(evolution.parameters, observations, series.n_views),
+        with_translations(evolution.parameters, observations, series.n_views),
         observations,
         prior,
         max_iterations=options.max_iterations,
@@ -106,13 +102,15 @@ def calibrate(
     overdispersion = residual_overdispersion(
         first.residual_px[keep], kept, first.weights[keep], first.sigma_px, series.n_views
     )
-    final = adjust(first.parameters, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion)
+    learnt, final = adjust_learning_anisotropy(
+        first, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion
+    )
     return Calibration(
         _reconstruction(series, kept, final, prior, options, doubts), evolution, final.sigma_px, overdispersion
     )
 
 
-def _start_parameters(searched: FloatArray, observations: Observations, n_views: int) -> FloatArray:
+def with_translations(searched: FloatArray, observations: Observations, n_views: int) -> FloatArray:
     """Add to the searched motion (1 + 4 V,) the translations, from the mean of each view's observations."""
     parameters = np.empty(1 + PARAMETERS_PER_VIEW * n_views)
     parameters[0] = searched[0]

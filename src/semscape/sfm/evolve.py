@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import differential_evolution
+from scipy.optimize import OptimizeResult, differential_evolution
 
 from semscape.options import SfmOptions
 from semscape.sfm.eliminated import PatternScatters, eliminated_cost, projection_matrices
@@ -15,15 +15,20 @@ from semscape.types import FloatArray
 _AXIS_BOUNDS_RAD = (-np.pi / 4, 3 * np.pi / 4)
 _STAGE_BOUND_IN_SIGMAS = 10.0
 _PRIOR_BOUND_IN_SIGMAS = 3.0
+_MOST_PATTERNS = 32
 
 
 @dataclass(frozen=True)
 class Evolution:
-    """The best motion parameters (1 + 4 V,), its cost and the best cost after every generation."""
+    """The best motion parameters (1 + 4 V,), its cost, and the best cost and member after every generation.
+
+    `best_parameters` is (G, 1 + 4 V) for G generations, `best_cost` (G,).
+    """
 
     parameters: FloatArray
     cost: float
     best_cost: FloatArray
+    best_parameters: FloatArray
     n_evaluations: int
 
 
@@ -49,7 +54,7 @@ def evolve(
     sigma_px : float
         Noise of a keypoint's coordinate.
     options : SfmOptions
-        Generations and population.
+        Strategy, population, generations and tolerance.
     rng : numpy.random.Generator
 
     References
@@ -59,26 +64,32 @@ def evolve(
     centre, sigma = prior.centre_and_sigma()
     free, bounds = _free_parameters(prior, centre, sigma)
     tight = np.isfinite(sigma)
-    history: list[float] = []
+    patterns = patterns.strongest(_MOST_PATTERNS)
+    n_evaluations = 0
+    costs: list[float] = []
+    members: list[FloatArray] = []
 
-    def population_cost(members: FloatArray) -> FloatArray:
-        parameters = np.tile(centre, (members.shape[1], 1))
-        parameters[:, free] = members.T
+    def population_cost(population: FloatArray) -> FloatArray:
+        nonlocal n_evaluations
+        n_evaluations += population.shape[1]
+        parameters = np.tile(centre, (population.shape[1], 1))
+        parameters[:, free] = population.T
         error = eliminated_cost(projection_matrices(parameters, prior.scale_px_per_um), patterns) / sigma_px**2
         deviation = (parameters[:, tight] - centre[tight]) / sigma[tight]
         cost: FloatArray = error + (deviation**2).sum(axis=1)
         return cost
 
-    def record(intermediate_result: object) -> None:
-        history.append(float(intermediate_result.fun))  # type: ignore[attr-defined]
+    def record(intermediate_result: OptimizeResult) -> None:
+        costs.append(float(intermediate_result.fun))
+        members.append(intermediate_result.x.copy())
 
     found = differential_evolution(
         population_cost,
         bounds,
-        strategy="best1bin",
+        strategy=options.de_strategy,
         maxiter=options.de_generations,
         popsize=options.de_population_per_variable,
-        tol=0.0,
+        tol=options.de_tolerance,
         atol=0.0,
         mutation=(0.4, 0.9),
         recombination=0.9,
@@ -89,9 +100,9 @@ def evolve(
         updating="deferred",
         vectorized=True,
     )
-    parameters = centre.copy()
-    parameters[free] = found.x
-    return Evolution(parameters, float(found.fun), np.array(history), int(found.nfev))
+    best = np.tile(centre, (len(members) + 1, 1))
+    best[:, free] = [*members, found.x]
+    return Evolution(best[-1], float(found.fun), np.array(costs), best[:-1], n_evaluations)
 
 
 def _free_parameters(
