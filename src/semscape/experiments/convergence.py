@@ -15,10 +15,9 @@ from semscape.experiments.figure_png import figure_png
 from semscape.experiments.simulated_tracks import SimulatedTracks, TrackRecipe, simulate_tracks
 from semscape.experiments.study import Experiment, Figure, Setting, Table
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import PARAMETERS_PER_VIEW, adjust
+from semscape.sfm.adjust import PARAMETERS_PER_VIEW, adjust, robust_cost
 from semscape.sfm.calibrate import with_translations
-from semscape.sfm.eliminated import pattern_scatters
-from semscape.sfm.evolve import Evolution, evolve
+from semscape.sfm.evolve import Evolution, evolve, search
 from semscape.sfm.priors import motion_prior
 from semscape.types import FloatArray
 
@@ -27,7 +26,8 @@ if TYPE_CHECKING:
 
 TILTS_DEG = (-6.0, -3.0, 0.0, 3.0, 6.0)
 STRATEGIES = ("best1bin", "rand1bin")
-_SIGMA_PX = 0.4
+_CURVES = (("cost", ""), ("tilt_error", "_deg"))
+_END_FIGURES = ("tilt_step_error_deg", "evaluations", "seconds")
 _SAME_TILT_DEG = 0.001
 _COLOURS = ("#2f81d6", "#e0812b")
 
@@ -44,22 +44,24 @@ def run(setting: Setting) -> Experiment:
         with local_mapper(setting.workers) as mapper:
             for strategy in STRATEGIES:
                 options = SfmOptions(de_strategy=strategy, de_generations=generations, de_tolerance=0.0)
-                records = list(mapper(partial(_search, tracks, options), seeds))
-                curves += _curve_rows(told, strategy, tracks, [record for record, _ in records])
+                curves += _curve_rows(told, strategy, list(mapper(partial(_record, tracks, options), seeds)))
             ends += _ends(told, tracks, seeds, mapper)
     curve_table = Table(
         "generations",
         "Best cost and tilt error against generations",
-        ("tilts", "strategy", "generation", "cost_p10", "cost_median", "cost_p90")
-        + ("tilt_error_p10_deg", "tilt_error_median_deg", "tilt_error_p90_deg"),
+        (
+            "tilts",
+            "strategy",
+            "generation",
+            *(f"{what}_{band}{unit}" for what, unit in _CURVES for band in ("p10", "median", "p90")),
+        ),
         tuple(curves),
         f"Bands over {len(seeds)} seeds. The tilt error is the rms error of the steps, its sign left open.",
     )
     end_table = Table(
         "ends",
         "Where each way of searching ends",
-        ("tilts", "method", "runs", "failed", "at_the_optimum", "tilt_step_error_median_deg")
-        + ("evaluations_median", "seconds_median"),
+        ("tilts", "method", "runs", "failed", "at_the_optimum", *(f"{what}_median" for what in _END_FIGURES)),
         tuple(ends),
         f"At the optimum: no tilt step more than {_SAME_TILT_DEG} deg from that of the least cost of all runs, or of "
         "its mirror image where nothing tells the sign. Evaluations are of the eliminated-structure cost; refinement "
@@ -91,18 +93,27 @@ def _series(setting: Setting, stage_sigma_deg: float | None) -> SimulatedTracks:
     return simulate_tracks(recipe, np.random.default_rng([setting.seed, 36]))
 
 
-def _search(tracks: SimulatedTracks, options: SfmOptions, seed: int) -> tuple[Evolution, float]:
+def _search(tracks: SimulatedTracks, seed: int) -> tuple[Evolution, float]:
+    """Search as the pipeline does, and return the seconds that it took."""
     start = time.perf_counter()
+    options = SfmOptions()
     prior = motion_prior(tracks.series, options)
-    patterns = pattern_scatters(tracks.observations, len(TILTS_DEG), np.ones(tracks.observations.n_points))
-    found = evolve(patterns, prior, _SIGMA_PX, options, rng=np.random.default_rng([seed, 1]))
-    return found, time.perf_counter() - start
+    found = search(tracks.observations, prior, options, rng=np.random.default_rng([seed, 1]))
+    return found.evolution, time.perf_counter() - start
+
+
+def _record(tracks: SimulatedTracks, options: SfmOptions, seed: int) -> Evolution:
+    """Evolve on tracks that an earlier search, the same for all seeds, has weighted, so that costs compare."""
+    prior = motion_prior(tracks.series, options)
+    weighted = search(tracks.observations, prior, SfmOptions(), rng=np.random.default_rng(0))
+    return evolve(weighted.patterns, prior, weighted.sigma_px, options, rng=np.random.default_rng([seed, 3]))
 
 
 def _steps_deg(tilt_rad: FloatArray) -> FloatArray:
     """Return tilt steps (..., V - 1) in deg, mirrored where they fall, for the images do not tell the sign."""
-    steps: FloatArray = np.diff(np.rad2deg(tilt_rad), axis=-1)
-    return steps * np.sign(steps.sum(axis=-1, keepdims=True))
+    rising = np.diff(np.rad2deg(tilt_rad), axis=-1)
+    steps: FloatArray = rising * np.sign(rising.sum(axis=-1, keepdims=True))
+    return steps
 
 
 def _error_deg(tilt_rad: FloatArray) -> FloatArray:
@@ -110,27 +121,31 @@ def _error_deg(tilt_rad: FloatArray) -> FloatArray:
     return error
 
 
-def _curve_rows(
-    told: str, strategy: str, tracks: SimulatedTracks, records: list[Evolution]
-) -> list[tuple[str | int | float, ...]]:
+def _curve_rows(told: str, strategy: str, records: list[Evolution]) -> list[tuple[str | int | float, ...]]:
     cost = np.array([record.best_cost for record in records])
     error = np.array([_error_deg(record.best_parameters[:, 1::4]) for record in records])
     shown = np.unique(np.geomspace(1, cost.shape[1], 40).astype(int)) - 1
     bands = [np.percentile(values, (10, 50, 90), axis=0) for values in (cost, error)]
     return [
-        (told, strategy, int(generation) + 1, *(round(float(value), 5) for band in bands for value in band[:, generation]))
+        (
+            told,
+            strategy,
+            int(generation) + 1,
+            *(round(float(value), 5) for band in bands for value in band[:, generation]),
+        )
         for generation in shown
     ]
 
 
 @dataclass(frozen=True)
 class _End:
-    """Where one run came to rest: `tilt_rad` (V,), and the refinement's cost, NaN for a search alone."""
+    """Where one run came to rest: `tilt_rad` (V,), and all `parameters` and the noise where it was refined."""
 
     tilt_rad: FloatArray
-    cost: float
     evaluations: int
     seconds: float
+    parameters: FloatArray | None = None
+    sigma_px: float = np.nan
 
 
 def _ends(told: str, tracks: SimulatedTracks, seeds: range, mapper: Mapper) -> list[tuple[Any, ...]]:
@@ -138,16 +153,13 @@ def _ends(told: str, tracks: SimulatedTracks, seeds: range, mapper: Mapper) -> l
     outcomes: dict[str, list[_End | None]] = {
         f"refinement alone, from {start}": list(mapper(partial(_refine_from, tracks, start), seeds)) for start in starts
     }
-    searched = list(mapper(partial(_search, tracks, SfmOptions()), seeds))
-    outcomes["search alone"] = [
-        _End(one.parameters[1::4], np.nan, one.n_evaluations, seconds) for one, seconds in searched
-    ]
+    searched = list(mapper(partial(_search, tracks), seeds))
+    outcomes["search alone"] = [_End(one.parameters[1::4], one.n_evaluations, seconds) for one, seconds in searched]
     outcomes["search and refinement"] = [
         _refine(tracks, one.parameters, one.n_evaluations, seconds) for one, seconds in searched
     ]
-    refined = [one for runs in outcomes.values() for one in runs if one is not None and np.isfinite(one.cost)]
-    best = min(refined, key=lambda one: one.cost)
-    rows = []
+    best = _bottom(tracks, [one for runs in outcomes.values() for one in runs if one is not None])
+    rows: list[tuple[Any, ...]] = []
     for method, runs in outcomes.items():
         ended = [one for one in runs if one is not None]
         if not ended:
@@ -161,6 +173,19 @@ def _ends(told: str, tracks: SimulatedTracks, seeds: range, mapper: Mapper) -> l
         failed = len(runs) - len(ended)
         rows.append((told, method, len(runs), failed, int(same.sum()), error_deg, evaluations, seconds))
     return rows
+
+
+def _bottom(tracks: SimulatedTracks, ends: list[_End]) -> _End:
+    """Return the refined end of least cost, all costs taken at one noise."""
+    refined = [one for one in ends if one.parameters is not None]
+    sigma_px = min(one.sigma_px for one in refined)
+    prior = motion_prior(tracks.series, SfmOptions())
+
+    def cost(one: _End) -> float:
+        assert one.parameters is not None
+        return robust_cost(one.parameters, tracks.observations, prior, sigma_px)
+
+    return min(refined, key=cost)
 
 
 def _refine_from(tracks: SimulatedTracks, start: str, seed: int) -> _End | None:
@@ -191,9 +216,10 @@ def _refine(tracks: SimulatedTracks, searched: FloatArray, evaluations: int, sec
     )
     return _End(
         found.parameters[1::PARAMETERS_PER_VIEW],
-        found.cost,
         evaluations + found.n_iterations,
         seconds + time.perf_counter() - start,
+        found.parameters,
+        found.sigma_px,
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from semscape.geometry.cameras import camera_matrices
+from semscape.geometry.cameras import perspective_cameras_of
 from semscape.types import BoolArray, FloatArray, Micrograph, Motion, Observations, SemMetadata, TiltSeries
 
 _SIZE_PX = 800
@@ -36,6 +36,8 @@ class TrackRecipe:
         Standard deviation of the heights; 0 is a planar specimen.
     seen_share : float
         Chance that a view sees a point.
+    distance_um : float
+        Distance of the centre of projection; infinite for parallel projection.
     """
 
     tilts_deg: tuple[float, ...]
@@ -48,6 +50,7 @@ class TrackRecipe:
     roll_sigma_deg: float = 0.2
     relief_px: float = 40.0
     seen_share: float = 0.8
+    distance_um: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,8 @@ def simulate_tracks(recipe: TrackRecipe, rng: np.random.Generator) -> SimulatedT
     visible = rng.uniform(size=(recipe.n_points, views)) < recipe.seen_share
     visible[visible.sum(axis=1) < 2] = True
     point, view = np.nonzero(visible)
-    xy = np.einsum("kij,kj->ki", camera_matrices(motion)[view], points[point]) + motion.translation_px[view]
+    cameras = perspective_cameras_of(motion, 1 / recipe.distance_um, np.full(2, (_SIZE_PX - 1) / 2))
+    xy = np.stack([camera.project(points) for camera in cameras])[view, point]
     xy += rng.normal(0, recipe.noise_px, xy.shape)
     wrong = rng.uniform(size=len(xy)) < recipe.outlier_share
     xy[wrong] += rng.uniform(-25, 25, (int(wrong.sum()), 2))
@@ -101,18 +105,18 @@ def simulate_tracks(recipe: TrackRecipe, rng: np.random.Generator) -> SimulatedT
 
 
 def _relief(plane_px: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return heights (P,) of mean square 1: a sum of random waves 50 to 600 px long, long ones higher."""
-    length = np.exp(rng.uniform(np.log(50), np.log(600), _WAVES))
+    """Return heights (P,) of mean square 1: a rough sum of random waves 50 to 400 px long."""
+    length = np.exp(rng.uniform(np.log(50), np.log(400), _WAVES))
     direction, phase = rng.uniform(0, 2 * np.pi, (2, _WAVES))
     k = 2 * np.pi / length * np.stack([np.cos(direction), np.sin(direction)])
-    amplitude = length / np.sqrt((length**2).sum() / 2)
+    amplitude = np.sqrt(length / (length.sum() / 2))
     height: FloatArray = np.cos(plane_px @ k + phase) @ amplitude
     return height
 
 
 def _series(told_rad: FloatArray) -> TiltSeries:
-    """Return views without a picture, small, for the vote by shading would only find that there is nothing."""
-    blank = Micrograph("", np.zeros((64, 64), np.float32), np.ones((64, 64), bool))
+    """Return views without a picture: the vote by shading finds that there is nothing."""
+    blank = Micrograph("", np.zeros((_SIZE_PX, _SIZE_PX), np.float32), np.ones((_SIZE_PX, _SIZE_PX), bool))
     return TiltSeries(
         tuple(
             replace(

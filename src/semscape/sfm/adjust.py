@@ -107,9 +107,29 @@ def adjust(
     )
 
 
+def robust_cost(
+    parameters: FloatArray,
+    observations: Observations,
+    prior: MotionPrior,
+    sigma_px: float,
+    overdispersion: float = 1.0,
+) -> float:
+    """Return the Cauchy cost of the residuals plus the squared priors, to compare motions at one noise.
+
+    It is twice a negative log-posterior. `Adjustment.cost`, whose noise follows the residuals, cannot tell a good
+    fit from a bad one.
+    """
+    problem = Problem(observations, prior)
+    residual = problem.residuals(parameters, problem.cauchy_weights(parameters, sigma_px))
+    width_px = _CAUCHY * sigma_px
+    data = _CAUCHY**2 * float(np.log1p((residual**2).sum(axis=1) / width_px**2).sum()) / overdispersion
+    deviation = problem.prior_deviation(parameters)
+    return data + float(deviation @ deviation)
+
+
 @dataclass(frozen=True)
 class NormalEquations:
-    """Of all parameters, after the points are eliminated: half the cost's second and minus half its first derivative."""
+    """Half the cost's second and minus half its first derivative by all parameters, the points eliminated."""
 
     hessian: FloatArray
     gradient: FloatArray
@@ -176,7 +196,7 @@ class Problem:
         hessian, gradient = np.zeros((size, size)), np.zeros(size)
         np.add.at(hessian, (self.index[:, :, None, None], self.index), blocks)
         np.add.at(gradient, self.index, gradients)
-        deviation = (parameters[self.prior_index] - self.prior_centre) * self.prior_weight
+        deviation = self.prior_deviation(parameters)
         hessian[self.prior_index, self.prior_index] += self.prior_weight**2
         gradient[self.prior_index] -= deviation * self.prior_weight
         # A common shift of the world moves no image: this holds the translations without pulling on them.
@@ -184,6 +204,11 @@ class Problem:
             index = np.arange(self.n_views) * PARAMETERS_PER_VIEW + offset
             hessian[index, index] += _TRANSLATION_SIGMA_PX**-2
         return NormalEquations(hessian, gradient, cost + float(deviation @ deviation))
+
+    def prior_deviation(self, parameters: FloatArray) -> FloatArray:
+        """Return how far the parameters are from their priors, in sigmas."""
+        deviation: FloatArray = (parameters[self.prior_index] - self.prior_centre) * self.prior_weight
+        return deviation
 
     def residuals(self, parameters: FloatArray, weights: FloatArray) -> FloatArray:
         """Return the residuals (K, 2) px, every point at its best for the given weights."""

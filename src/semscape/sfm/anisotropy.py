@@ -1,4 +1,4 @@
-"""How far scans stretch in x against y, learnt from the series: it decides how far a self-calibrated tilt is trusted."""
+"""How far scans stretch in x against y, learnt from the series: it decides how far a tilt is trusted."""
 
 from __future__ import annotations
 

@@ -6,15 +6,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from semscape.errors import BadInputError, TooFewMatchesError
-from semscape.geometry.cameras import camera_matrices
+from semscape.errors import TooFewMatchesError
+from semscape.geometry.cameras import (
+    PerspectiveCamera,
+    ScaledOrthographicCamera,
+    camera_matrices,
+    cameras_of,
+    perspective_cameras_of,
+)
 from semscape.geometry.rotations import wrap_axis_angle
 from semscape.options import SfmOptions
 from semscape.sfm.adjust import PARAMETERS_PER_VIEW, Adjustment, adjust
+from semscape.sfm.ambiguity import height_scale_relative_sigma, images_height_scale_sigma, mirror_margin
 from semscape.sfm.anisotropy import adjust_learning_anisotropy
-from semscape.sfm.eliminated import pattern_scatters
-from semscape.sfm.evolve import Evolution, evolve
+from semscape.sfm.evolve import Evolution, evolve, search
 from semscape.sfm.noise import free_share, residual_overdispersion
+from semscape.sfm.perspective import PerspectiveFit, fit_perspective
 from semscape.sfm.plausibility import (
     height_scale_warnings,
     perspective_warnings,
@@ -24,9 +31,8 @@ from semscape.sfm.plausibility import (
     stage_contradictions,
 )
 from semscape.sfm.priors import MotionPrior, motion_prior
-from semscape.sfm.relief import relief_vote
+from semscape.sfm.relief import relief_sign
 from semscape.types import (
-    Ambiguity,
     BoolArray,
     FloatArray,
     Motion,
@@ -36,10 +42,8 @@ from semscape.types import (
     TiltSource,
 )
 
-_START_NOISE_PX = 0.4
 _REJECT_IN_SIGMAS = 5.0
 _LEAST_TRACKS = 24
-_CERTAIN_VOTE = 0.98
 
 
 @dataclass(frozen=True)
@@ -86,14 +90,13 @@ def calibrate(
     prior = motion_prior(series, options)
     doubts = require_parallax(series, observations, prior)
 
-    patterns = pattern_scatters(observations, series.n_views, np.ones(observations.n_points))
-    evolution = evolve(patterns, prior, _START_NOISE_PX, options, rng=rng)
+    found = search(observations, prior, options, rng=rng)
     if not prior.self_calibrated and series.n_views > 2:
-        unbound = evolve(patterns, prior.without_stage(), _START_NOISE_PX, options, rng=rng)
+        unbound = evolve(found.patterns, prior.without_stage(), found.sigma_px, options, rng=rng)
         n_free = 2 * len(observations.view) - 3 * observations.n_points
-        doubts += stage_contradictions(patterns, evolution.parameters, unbound.parameters, n_free, prior)
+        doubts += stage_contradictions(found.patterns, found.evolution.parameters, unbound.parameters, n_free, prior)
     first = adjust(
-        with_translations(evolution.parameters, observations, series.n_views),
+        with_translations(found.evolution.parameters, observations, series.n_views),
         observations,
         prior,
         max_iterations=options.max_iterations,
@@ -105,8 +108,73 @@ def calibrate(
     learnt, final = adjust_learning_anisotropy(
         first, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion
     )
-    return Calibration(
-        _reconstruction(series, kept, final, prior, options, doubts), evolution, final.sigma_px, overdispersion
+    perspective = None
+    if options.camera != "orthographic":
+        perspective = _perspective(series, kept, final, learnt, options, overdispersion)
+        if options.camera == "perspective" or perspective.margin > 0:
+            kept, final = perspective.observations, perspective.adjustment
+    reconstruction = replace(
+        _reconstruction(series, kept, final, prior, options, doubts),
+        prior_mean=prior.centre_and_sigma()[0],
+        prior_sigma=learnt.centre_and_sigma()[1],
+        mirror_margin=mirror_margin(kept, final, learnt, options, overdispersion),
+        height_scale_relative_sigma_of_images=images_height_scale_sigma(kept, final, learnt, overdispersion),
+    )
+    if perspective is not None:
+        reconstruction = _with_camera(reconstruction, perspective, final, options)
+    return Calibration(reconstruction, found.evolution, final.sigma_px, overdispersion)
+
+
+def _perspective(
+    series: TiltSeries,
+    observations: Observations,
+    parallel: Adjustment,
+    prior: MotionPrior,
+    options: SfmOptions,
+    overdispersion: float,
+) -> PerspectiveFit:
+    centre_px = np.array([(series.shape[1] - 1) / 2, (series.shape[0] - 1) / 2])
+
+    def refit(parameters: FloatArray, corrected: Observations) -> Adjustment:
+        return adjust(
+            parameters, corrected, prior, max_iterations=options.max_iterations, overdispersion=overdispersion
+        )
+
+    def cameras_at(
+        parameters: FloatArray, inverse_distance: float
+    ) -> tuple[tuple[ScaledOrthographicCamera, ...], tuple[PerspectiveCamera, ...]]:
+        motion = _motion(parameters, prior)
+        return cameras_of(motion), perspective_cameras_of(motion, inverse_distance, centre_px)
+
+    return fit_perspective(parallel, observations, prior, refit, cameras_at, overdispersion=overdispersion)
+
+
+def _with_camera(
+    reconstruction: Reconstruction, fit: PerspectiveFit, final: Adjustment, options: SfmOptions
+) -> Reconstruction:
+    """State which camera was taken and why; the sign of the distance must agree with that of the relief."""
+    taken = final is fit.adjustment
+    mirrored = float(reconstruction.motion.tilt_rad @ final.parameters[1::PARAMETERS_PER_VIEW]) < 0
+    inverse_distance = -fit.inverse_distance_per_um if mirrored else fit.inverse_distance_per_um
+    warnings = list(reconstruction.warnings)
+    if fit.margin > 0 and inverse_distance < 0:
+        warnings.append(
+            f"the perspective says that the relief is turned inside out ({abs(inverse_distance) / fit.sigma_per_um:.1f} "
+            "sigma): what is nearer looks larger. Check the sign of the tilts, or --invert-relief"
+        )
+    if fit.margin > 0 and options.camera == "auto":
+        warnings.append(
+            f"the images show perspective: its information criterion is better by {fit.margin:.0f}, the centre of "
+            f"projection lies {1 / abs(inverse_distance):.3g} {reconstruction.length_unit} away. The tilts hold it; the "
+            "dense surface is computed as in parallel projection"
+        )
+    return replace(
+        reconstruction,
+        camera="perspective" if taken else "orthographic",
+        inverse_distance_per_um=inverse_distance if taken else 0.0,
+        inverse_distance_sigma_per_um=fit.sigma_per_um,
+        camera_margin=fit.margin,
+        warnings=tuple(warnings),
     )
 
 
@@ -144,7 +212,7 @@ def _reconstruction(
 ) -> Reconstruction:
     motion = _motion(final.parameters, prior)
     points = final.points_um
-    sign, ambiguity, confidence, warnings = _relief_sign(series, observations, points, prior, options)
+    sign, ambiguity, confidence, warnings = relief_sign(series, observations, points, prior, options)
     if sign < 0:
         motion = replace(motion, tilt_rad=-motion.tilt_rad)
         points = points * np.array([1.0, 1.0, -1.0])
@@ -155,9 +223,7 @@ def _reconstruction(
     signs[1::PARAMETERS_PER_VIEW] = sign * (-1.0 if wrap_axis_angle(final.parameters[0])[1] else 1.0)
     covariance *= signs[:, None] * signs
     tilt_covariance = covariance[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
-    deviation = motion.tilt_rad - motion.tilt_rad.mean()
-    gradient = deviation / max(float(deviation @ deviation), 1e-18)
-    height_scale_sigma = float(np.sqrt(gradient @ tilt_covariance @ gradient))
+    height_scale_sigma = height_scale_relative_sigma(motion.tilt_rad, tilt_covariance)
     tilt_sigma = np.sqrt(np.diag(tilt_covariance))
     contradictions = [*doubts, *prior_contradictions(series.names, final.parameters, prior)]
     warnings += height_scale_warnings(height_scale_sigma, prior)
@@ -208,41 +274,6 @@ def _centre_world(
     right = centre_px - motion.translation_px[reference] - matrices[reference][:, 2] * z
     origin = np.append(np.linalg.solve(matrices[reference][:, :2], right), z)
     return replace(motion, translation_px=motion.translation_px + matrices @ origin), points - origin
-
-
-def _relief_sign(
-    series: TiltSeries,
-    observations: Observations,
-    points: FloatArray,
-    prior: MotionPrior,
-    options: SfmOptions,
-) -> tuple[float, Ambiguity, float, list[str]]:
-    """Decide whether to mirror the relief: by the stage's sign, else by shading, reported as assumed."""
-    if not prior.self_calibrated and options.invert_relief:
-        raise BadInputError(
-            "--invert-relief is for series without stage tilts; here the sign of the tilts fixes the relief. "
-            "If the relief is inverted, give the tilts with the opposite signs (--tilts)"
-        )
-    in_reference = observations.view == prior.reference
-    seen = observations.point[in_reference]
-    correlation, confidence = relief_vote(series.views[prior.reference], observations.xy[in_reference], points[seen, 2])
-    if not prior.self_calibrated:
-        against = []
-        if correlation < 0 and confidence > _CERTAIN_VOTE:
-            against.append(
-                f"the shading contradicts the sign of the tilts (confidence {confidence:.0%}): if hills come out as "
-                "pits, give the tilts with the opposite signs (--tilts)"
-            )
-        return 1.0, "none", 1.0, against
-    sign = -1.0 if correlation < 0 else 1.0
-    voted = "up"
-    if options.invert_relief:
-        sign, voted = -sign, "down (--invert-relief)"
-    warning = (
-        f"no stage tilt gives the sign of the relief: shading votes for what is bright to stand {voted}, confidence "
-        f"{confidence:.0%}; if hills come out as pits, run again with --invert-relief"
-    )
-    return sign, "reflection", confidence, [warning]
 
 
 def _told_by(series: TiltSeries) -> TiltSource:

@@ -8,13 +8,13 @@ motions is scored at once.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from semscape.types import FloatArray, IntArray, Observations
-
 
 # Members of a population that are worked on side by side: lanes of the machine's vector unit.
 _LANES = 16
@@ -61,25 +61,53 @@ def pattern_scatters(observations: Observations, n_views: int, track_weight: Flo
     track_weight : (P,) float array
         Weight of each track; 0 leaves it out.
     """
-    start = np.searchsorted(observations.point, np.arange(observations.n_points + 1))
-    seen = np.zeros((observations.n_points, n_views), dtype=bool)
-    seen[observations.point, observations.view] = True
-    patterns, pattern_of = np.unique(seen, axis=0, return_inverse=True)
-    views = np.zeros((len(patterns), n_views), dtype=np.int64)
-    counts = patterns.sum(axis=1)
-    scatter = np.zeros((len(patterns), 2 * n_views, 2 * n_views))
-    for index, pattern in enumerate(patterns):
-        m = counts[index]
-        views[index, :m] = np.flatnonzero(pattern)
-        points = np.flatnonzero(pattern_of == index)
+    groups = list(_by_pattern(observations, n_views))
+    views = np.zeros((len(groups), n_views), dtype=np.int64)
+    counts, tracks = np.zeros((2, len(groups)), dtype=np.int64)
+    scatter = np.zeros((len(groups), 2 * n_views, 2 * n_views))
+    for index, (seen, points, w) in enumerate(groups):
+        m = counts[index] = len(seen)
+        views[index, :m] = seen
         weight = track_weight[points]
-        if weight.sum() <= 0:
-            continue
-        w = observations.xy[start[points][:, None] + np.arange(m)].reshape(len(points), 2 * m)
-        deviation = w - (weight @ w) / weight.sum()
-        scatter[index, : 2 * m, : 2 * m] = (deviation * weight[:, None]).T @ deviation
-    tracks = np.bincount(pattern_of.ravel()[track_weight > 0], minlength=len(patterns))
-    return PatternScatters(views, counts.astype(np.int64), scatter, tracks.astype(np.int64))
+        tracks[index] = np.count_nonzero(weight)
+        if tracks[index]:
+            deviation = w - (weight @ w) / weight.sum()
+            scatter[index, : 2 * m, : 2 * m] = (deviation * weight[:, None]).T @ deviation
+    return PatternScatters(views, counts, scatter, tracks)
+
+
+def track_residuals(observations: Observations, matrices: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return each track's summed squared residuals (P,) px^2, its point eliminated, and how many are free (P,).
+
+    Parameters
+    ----------
+    observations : Observations
+        Sorted by point, then view.
+    matrices : (V, 2, 3) float array
+        Camera matrices; the translations are taken from the medians of each visibility pattern.
+    """
+    squared = np.zeros(observations.n_points)
+    n_free = np.zeros(observations.n_points, dtype=np.int64)
+    for seen, points, w in _by_pattern(observations, len(matrices)):
+        basis, *_ = np.linalg.svd(matrices[seen].reshape(-1, 3), full_matrices=False)
+        deviation = w - np.median(w, axis=0)
+        deviation = deviation - deviation @ basis @ basis.T
+        squared[points] = (deviation**2).sum(axis=1)
+        n_free[points] = 2 * len(seen) - 3
+    return squared, n_free
+
+
+def _by_pattern(observations: Observations, n_views: int) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
+    """Yield for each visibility pattern its views (m,), its points (n,) and their coordinates (n, 2 m)."""
+    start = np.searchsorted(observations.point, np.arange(observations.n_points + 1))
+    visible = np.zeros((observations.n_points, n_views), dtype=bool)
+    visible[observations.point, observations.view] = True
+    patterns, pattern_of = np.unique(visible, axis=0, return_inverse=True)
+    order = np.argsort(pattern_of.ravel(), kind="stable")
+    groups = np.split(order, np.cumsum(np.bincount(pattern_of.ravel()))[:-1])
+    for pattern, points in zip(patterns, groups, strict=True):
+        m = int(pattern.sum())
+        yield np.flatnonzero(pattern), points, observations.xy[start[points][:, None] + np.arange(m)].reshape(-1, 2 * m)
 
 
 def projection_matrices(parameters: FloatArray, scale_px_per_um: FloatArray) -> FloatArray:

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import OptimizeResult, differential_evolution
+from scipy.stats import chi2
 
 from semscape.options import SfmOptions
-from semscape.sfm.eliminated import PatternScatters, eliminated_cost, projection_matrices
+from semscape.sfm.eliminated import (
+    PatternScatters,
+    eliminated_cost,
+    pattern_scatters,
+    projection_matrices,
+    track_residuals,
+)
 from semscape.sfm.priors import MotionPrior
-from semscape.types import FloatArray
+from semscape.types import FloatArray, Observations
 
 _AXIS_BOUNDS_RAD = (-np.pi / 4, 3 * np.pi / 4)
 _STAGE_BOUND_IN_SIGMAS = 10.0
 _PRIOR_BOUND_IN_SIGMAS = 3.0
 _MOST_PATTERNS = 32
+_START_NOISE_PX = 0.4
+_LEAST_NOISE_PX = 0.05
+_WIDTH_IN_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +40,36 @@ class Evolution:
     best_cost: FloatArray
     best_parameters: FloatArray
     n_evaluations: int
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search's end, the robustly weighted tracks that it ended on, and the noise that it found."""
+
+    evolution: Evolution
+    patterns: PatternScatters
+    sigma_px: float
+
+
+def search(observations: Observations, prior: MotionPrior, options: SfmOptions, *, rng: np.random.Generator) -> Search:
+    """Search a motion among tracks of which some are wrong: evolve, weight the tracks by their misfit, evolve again.
+
+    Parameters
+    ----------
+    observations : Observations
+        Sorted by point, then view.
+    prior, options, rng
+        As in `evolve`.
+    """
+    patterns = pattern_scatters(observations, prior.n_views, np.ones(observations.n_points))
+    found = evolve(patterns, prior, _START_NOISE_PX, options, rng=rng)
+    matrices = projection_matrices(found.parameters[None], prior.scale_px_per_um)[0]
+    squared, n_free = track_residuals(observations, matrices)
+    sigma_px = max(float(np.sqrt(np.median(squared / chi2.median(n_free)))), _LEAST_NOISE_PX)
+    weight = 1 / (1 + squared / n_free / (_WIDTH_IN_SIGMAS * sigma_px) ** 2) ** 2
+    patterns = pattern_scatters(observations, prior.n_views, weight)
+    again = evolve(patterns, prior, sigma_px, options, rng=rng)
+    return Search(replace(again, n_evaluations=found.n_evaluations + again.n_evaluations), patterns, sigma_px)
 
 
 def evolve(

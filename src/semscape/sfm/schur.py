@@ -1,8 +1,8 @@
 """The compiled heart of bundle adjustment: eliminate the points, keep the moments that the cameras need.
 
-A coordinate's derivative by a camera's parameter is linear in the point, whatever the parameter. So sums over all points
-of products of point coordinates, taken once, hold all that the normal equations of the cameras can ask for, and
-the loop over the points knows nothing of parameters.
+A coordinate's derivative by a camera's parameter is linear in the point, whatever the parameter. So sums over all
+points of products of point coordinates, taken once, hold all that the normal equations of the cameras can ask for,
+and the loop over the points knows nothing of parameters.
 """
 
 from __future__ import annotations
