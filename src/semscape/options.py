@@ -63,8 +63,8 @@ _RANGES = {
     "run.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
-_CAMERAS = {"sfm.camera": ["orthographic", "perspective", "auto"]}
-_CHOICES = {"features.detector": ["sift"], "sfm.de_strategy": ["best1bin", "rand1bin"], **_CAMERAS}
+_MOTION_CHOICES = {"sfm.camera": ["orthographic", "perspective", "auto"], "sfm.method": ["series", "thesis"]}
+_CHOICES = {"features.detector": ["sift"], "sfm.de_strategy": ["best1bin", "rand1bin"], **_MOTION_CHOICES}
 
 
 class _Stage:
@@ -111,9 +111,10 @@ class SfmOptions(_Stage):
     """Motion of the series: priors (1 sigma), Differential Evolution and bundle adjustment.
 
     `prior_tilt_deg` is the trust in a stage tilt that is known. The search ends after `de_generations`, or where the
-    population's costs differ by less than `de_tolerance`, relatively. `camera` is
-    "orthographic", "perspective", or "auto": both are fitted and an information criterion chooses. `invert_relief` mirrors a self-calibrated
-    series whose sign nothing but the shading fixes.
+    population's costs differ by less than `de_tolerance`, relatively. `camera` is "orthographic", "perspective", or
+    "auto": both are fitted and an information criterion chooses. `invert_relief` mirrors a self-calibrated series whose
+    sign nothing but the shading fixes. `method` "thesis" takes the tilts from the textbook route, the baseline that
+    the default is compared with.
     """
 
     prior_tilt_deg: float = 0.1
@@ -126,6 +127,7 @@ class SfmOptions(_Stage):
     de_strategy: str = "best1bin"
     de_tolerance: float = 1e-6
     max_iterations: int = 50
+    method: str = "series"
     camera: str = "orthographic"
     invert_relief: bool = False
 

@@ -22,9 +22,10 @@ from semscape.report.summary import build_report, pair_figures
 from semscape.sfm.calibrate import Calibration, calibrate
 from semscape.sfm.misfit import misfitting_view
 from semscape.sfm.plausibility import require_tilts
+from semscape.sfm.thesis import thesis_calibration
 from semscape.sfm.tracks import build_tracks
 from semscape.sfm.two_view import Pair, largest_connected_set, match_pair, renumber
-from semscape.types import Keypoints, Matches, Result, StageReport, TiltSeries, TwoViewGeometry
+from semscape.types import Keypoints, Matches, Observations, Result, StageReport, TiltSeries, TwoViewGeometry
 
 Progress = Callable[[str, dict[str, Any] | None], None]
 
@@ -95,7 +96,11 @@ def reconstruct(
 
         with stages("calibrate") as figures:
             observations = build_tracks(keypoints, matches, geometries)
-            calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
+            if options.sfm.method == "thesis":
+                calibration, thesis = thesis_calibration(series, observations, options.sfm, rng=_stream(seed, "thesis"))
+                failures += thesis.failures
+            else:
+                calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
             while (misfit := _misfit(series, observations, calibration, options, seed)) is not None:
                 series, kept = _without_misfit(series, misfit)
                 keypoints = tuple(keypoints[i] for i in kept)
@@ -180,6 +185,8 @@ def _connected(
 def _misfit(
     series: TiltSeries, observations: Observations, calibration: Calibration, options: Options, seed: int
 ) -> int | None:
+    if options.sfm.method == "thesis":
+        return None  # tilts that are wrong by degrees fit no view
     found, rng = calibration.reconstruction, _stream(seed, "misfit", series.n_views)
     return misfitting_view(series, observations, found.observations, found.residual_px, options.sfm, rng)
 
@@ -187,8 +194,8 @@ def _misfit(
 def _without_misfit(series: TiltSeries, misfit: int) -> tuple[TiltSeries, tuple[int, ...]]:
     kept = tuple(index for index in range(series.n_views) if index != misfit)
     why = (
-        f"left out, because it does not fit the motion of the others: {series.names[misfit]} (moved or charged specimen, "
-        "another stage rotation or magnification?)"
+        f"left out, because it does not fit the motion of the others: {series.names[misfit]} (moved or charged "
+        "specimen, another stage rotation or magnification?)"
     )
     return series.select(kept, why), kept
 

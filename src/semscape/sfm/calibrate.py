@@ -159,14 +159,14 @@ def _with_camera(
     warnings = list(reconstruction.warnings)
     if fit.margin > 0 and inverse_distance < 0:
         warnings.append(
-            f"the perspective says that the relief is turned inside out ({abs(inverse_distance) / fit.sigma_per_um:.1f} "
-            "sigma): what is nearer looks larger. Check the sign of the tilts, or --invert-relief"
+            f"the perspective says ({abs(inverse_distance) / fit.sigma_per_um:.1f} sigma) that the relief is turned "
+            "inside out: what is nearer looks larger. Check the sign of the tilts, or --invert-relief"
         )
     if fit.margin > 0 and options.camera == "auto":
         warnings.append(
             f"the images show perspective: its information criterion is better by {fit.margin:.0f}, the centre of "
-            f"projection lies {1 / abs(inverse_distance):.3g} {reconstruction.length_unit} away. The tilts hold it; the "
-            "dense surface is computed as in parallel projection"
+            f"projection lies {1 / abs(inverse_distance):.3g} {reconstruction.length_unit} away. The tilts hold it; "
+            "the dense surface is computed as in parallel projection"
         )
     return replace(
         reconstruction,

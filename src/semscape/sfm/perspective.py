@@ -1,8 +1,8 @@
 """Is the projection parallel? The perspective camera with a long distance, against the scaled orthographic one.
 
-The perspective term is a small correction to parallel projection, nearly linear in the inverse distance of the centre of
-projection. So observations are corrected by it, for given cameras and points, and the parallel model is adjusted
-to what is left, until both agree; the inverse distance itself has one parabola to find its bottom on.
+The perspective term is a small correction to parallel projection, nearly linear in the inverse distance of the centre
+of projection. So observations are corrected by it, for given cameras and points, and the parallel model is adjusted to
+what is left, until both agree; the inverse distance itself finds its bottom on a few parabolas.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from semscape.types import FloatArray, Observations
 Refit = Callable[[FloatArray, Observations], Adjustment]
 CamerasAt = Callable[[FloatArray, float], tuple[tuple[ScaledOrthographicCamera, ...], tuple[PerspectiveCamera, ...]]]
 _ROUNDS = 3
+_PARABOLAS = 6
 
 
 @dataclass(frozen=True)
@@ -68,15 +69,15 @@ def fit_perspective(
     sigma_px = parallel.sigma_px
 
     def correction(found: Adjustment, inverse_distance: float) -> FloatArray:
-        flat, deep = cameras_at(found.parameters, inverse_distance)
+        parallel_cameras, cameras = cameras_at(found.parameters, inverse_distance)
+        points = found.points_um
         shift = np.stack(
-            [b.project(found.points_um) - a.project(found.points_um) for a, b in zip(flat, deep, strict=True)]
+            [far.project(points) - flat.project(points) for flat, far in zip(parallel_cameras, cameras, strict=True)]
         )
         chosen: FloatArray = shift[observations.view, observations.point]
         return chosen
 
-    def fitted(inverse_distance: float) -> tuple[Observations, Adjustment, float]:
-        found = parallel
+    def fitted(inverse_distance: float, found: Adjustment) -> tuple[Observations, Adjustment, float]:
         for _ in range(_ROUNDS):
             corrected = replace(observations, xy=observations.xy - correction(found, inverse_distance))
             found = refit(found.parameters, corrected)
@@ -84,12 +85,19 @@ def fit_perspective(
 
     unit = 1e-6 / float(np.ptp(parallel.points_um[:, :2]))
     step = unit * 3 * sigma_px / float(np.sqrt(np.mean(correction(parallel, unit) ** 2)))
-    below, middle, above = (fitted(value)[2] for value in (-step, 0.0, step))
-    curvature = (below - 2 * middle + above) / step**2
-    if curvature <= 0:
-        return PerspectiveFit(0.0, np.inf, -np.inf, observations, parallel)
-    best = (below - above) / (2 * step) / curvature
-    corrected, found, cost = fitted(best)
+    best, found = 0.0, parallel
+    corrected, found, cost = fitted(best, found)
+    cost_of_parallel = cost
+    for _ in range(_PARABOLAS):
+        below, above = (fitted(best + sign * step, found)[2] for sign in (-1, 1))
+        curvature = (below - 2 * cost + above) / step**2
+        if curvature <= 0:
+            return PerspectiveFit(0.0, np.inf, -np.inf, observations, parallel)
+        move = (below - above) / (2 * step) / curvature
+        best += move
+        corrected, found, cost = fitted(best, found)
+        if abs(move) < step:
+            break
     n_free = 2 * len(observations.view) - 3 * observations.n_points
-    margin = middle - cost - float(np.log(max(n_free / overdispersion, 1.0)))
+    margin = cost_of_parallel - cost - float(np.log(max(n_free / overdispersion, 1.0)))
     return PerspectiveFit(best, float(np.sqrt(2 / curvature)), margin, corrected, found)
