@@ -188,7 +188,7 @@ def _misfit(
     if options.sfm.method == "thesis":
         return None  # tilts that are wrong by degrees fit no view
     found, rng = calibration.reconstruction, _stream(seed, "misfit", series.n_views)
-    return misfitting_view(series, observations, found.observations, found.residual_px, options.sfm, rng)
+    return misfitting_view(series, observations, found.observations, found.residual_px, options.sfm, rng=rng)
 
 
 def _without_misfit(series: TiltSeries, misfit: int) -> tuple[TiltSeries, tuple[int, ...]]:

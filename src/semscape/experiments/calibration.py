@@ -60,7 +60,7 @@ class Recovery:
 
 def recover(recipe: TrackRecipe, seed: int, options: SfmOptions | None = None) -> Recovery:
     """Simulate a series of tracks, calibrate it and compare it with its truth."""
-    tracks = simulate_tracks(recipe, np.random.default_rng([seed, 35]))
+    tracks = simulate_tracks(recipe, rng=np.random.default_rng([seed, 35]))
     found = calibrate(
         tracks.series, tracks.observations, options or SfmOptions(), rng=np.random.default_rng(seed)
     ).reconstruction

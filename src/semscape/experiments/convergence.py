@@ -15,8 +15,7 @@ from semscape.experiments.figure_png import figure_png
 from semscape.experiments.simulated_tracks import SimulatedTracks, TrackRecipe, simulate_tracks
 from semscape.experiments.study import Experiment, Figure, Setting, Table
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import PARAMETERS_PER_VIEW, adjust, robust_cost
-from semscape.sfm.calibrate import with_translations
+from semscape.sfm.adjust import PARAMETERS_PER_VIEW, adjust, robust_cost, with_translations
 from semscape.sfm.evolve import Evolution, evolve, search
 from semscape.sfm.priors import motion_prior
 from semscape.types import FloatArray
@@ -90,7 +89,7 @@ def run(setting: Setting) -> Experiment:
 
 def _series(setting: Setting, stage_sigma_deg: float | None) -> SimulatedTracks:
     recipe = TrackRecipe(TILTS_DEG, stage_sigma_deg, n_points=400 if setting.quick else 2000)
-    return simulate_tracks(recipe, np.random.default_rng([setting.seed, 36]))
+    return simulate_tracks(recipe, rng=np.random.default_rng([setting.seed, 36]))
 
 
 def _search(tracks: SimulatedTracks, seed: int) -> tuple[Evolution, float]:

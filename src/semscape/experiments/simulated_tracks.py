@@ -64,12 +64,12 @@ class SimulatedTracks:
     wrong: BoolArray
 
 
-def simulate_tracks(recipe: TrackRecipe, rng: np.random.Generator) -> SimulatedTracks:
+def simulate_tracks(recipe: TrackRecipe, *, rng: np.random.Generator) -> SimulatedTracks:
     """Draw one series.
 
     Examples
     --------
-    >>> tracks = simulate_tracks(TrackRecipe((-3.0, 0.0, 3.0), n_points=100), np.random.default_rng(0))
+    >>> tracks = simulate_tracks(TrackRecipe((-3.0, 0.0, 3.0), n_points=100), rng=np.random.default_rng(0))
     >>> tracks.series.n_views, tracks.observations.n_points
     (3, 100)
     """

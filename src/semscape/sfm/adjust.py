@@ -96,15 +96,46 @@ def adjust(
             break
     parameters, cost, steps = problem.minimize(parameters, information, max_steps=200)
     hessian = problem.normal_equations(parameters, information).hessian
-    try:
-        covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
-    except np.linalg.LinAlgError as error:
-        raise DegenerateGeometryError(_UNDETERMINED) from error
+    covariance = laplace_covariance(hessian, prior)
     residual = problem.residuals(parameters, weights)
     points, points_covariance = problem.points_with_covariance(parameters, information, covariance)
     return Adjustment(
         parameters, covariance, points, points_covariance, residual, weights, sigma_px, cost, iterations + steps
     )
+
+
+def with_translations(searched: FloatArray, observations: Observations, n_views: int) -> FloatArray:
+    """Add to the searched motion (1 + 4 V,) the translations, from the mean of each view's observations."""
+    parameters = np.empty(1 + PARAMETERS_PER_VIEW * n_views)
+    parameters[0] = searched[0]
+    for offset in range(1, 5):
+        parameters[offset::PARAMETERS_PER_VIEW] = searched[offset::4]
+    for axis in (0, 1):
+        total = np.bincount(observations.view, observations.xy[:, axis], minlength=n_views)
+        count = np.maximum(np.bincount(observations.view, minlength=n_views), 1)
+        parameters[5 + axis :: PARAMETERS_PER_VIEW] = total / count
+    return parameters
+
+
+def laplace_covariance(hessian: FloatArray, prior: MotionPrior) -> FloatArray:
+    """Return the covariance of the parameters at the bottom.
+
+    It is the inverse of the normal matrix, with the error added that comes from an anisotropy `anisotropy_reach` times
+    as large as the estimate takes it to be: H^-1 (H + (reach^2 - 1) / sigma^2 on the anisotropies) H^-1.
+
+    Raises
+    ------
+    DegenerateGeometryError
+        When the normal matrix is singular.
+    """
+    try:
+        inverse = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise DegenerateGeometryError(_UNDETERMINED) from error
+    by_anisotropy = inverse[:, 4::PARAMETERS_PER_VIEW]
+    excess = (prior.anisotropy_reach**2 - 1) / prior.anisotropy_sigma**2
+    covariance: FloatArray = inverse + excess * by_anisotropy @ by_anisotropy.T
+    return covariance
 
 
 def robust_cost(

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import PARAMETERS_PER_VIEW, Adjustment, Problem, adjust, robust_cost
+from semscape.sfm.adjust import PARAMETERS_PER_VIEW, Adjustment, Problem, adjust, laplace_covariance, robust_cost
 from semscape.sfm.priors import MotionPrior
 from semscape.types import FloatArray, Observations
 
@@ -44,14 +42,11 @@ def images_height_scale_sigma(
 
     Infinite where they give nothing: two views.
     """
-    unbound = replace(prior.without_stage(), anisotropy_sigma=prior.anisotropy_sigma)
+    unbound = prior.without_stage()
     information = found.weights / (found.sigma_px**2 * overdispersion)
     hessian = Problem(observations, unbound).normal_equations(found.parameters, information).hessian
-    spread, axes = np.linalg.eigh(hessian)
-    if spread[0] <= 0:
-        return np.inf
-    tilts = axes[1::PARAMETERS_PER_VIEW]
-    sigma = height_scale_relative_sigma(found.parameters[1::PARAMETERS_PER_VIEW], tilts / spread @ tilts.T)
+    covariance = laplace_covariance(hessian, unbound)[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
+    sigma = height_scale_relative_sigma(found.parameters[1::PARAMETERS_PER_VIEW], covariance)
     return sigma if sigma < _NOTHING_KNOWN else np.inf
 
 

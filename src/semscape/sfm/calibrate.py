@@ -16,7 +16,7 @@ from semscape.geometry.cameras import (
 )
 from semscape.geometry.rotations import wrap_axis_angle
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import PARAMETERS_PER_VIEW, Adjustment, adjust
+from semscape.sfm.adjust import PARAMETERS_PER_VIEW, Adjustment, adjust, with_translations
 from semscape.sfm.ambiguity import height_scale_relative_sigma, images_height_scale_sigma, mirror_margin
 from semscape.sfm.anisotropy import adjust_learning_anisotropy
 from semscape.sfm.evolve import Evolution, evolve, search
@@ -116,7 +116,9 @@ def calibrate(
     reconstruction = replace(
         _reconstruction(series, kept, final, prior, options, doubts),
         prior_mean=prior.centre_and_sigma()[0],
-        prior_sigma=learnt.centre_and_sigma()[1],
+        prior_sigma=replace(
+            learnt, anisotropy_sigma=learnt.anisotropy_sigma * learnt.anisotropy_reach
+        ).centre_and_sigma()[1],
         mirror_margin=mirror_margin(kept, final, learnt, options, overdispersion),
         height_scale_relative_sigma_of_images=images_height_scale_sigma(kept, final, learnt, overdispersion),
     )
@@ -176,19 +178,6 @@ def _with_camera(
         camera_margin=fit.margin,
         warnings=tuple(warnings),
     )
-
-
-def with_translations(searched: FloatArray, observations: Observations, n_views: int) -> FloatArray:
-    """Add to the searched motion (1 + 4 V,) the translations, from the mean of each view's observations."""
-    parameters = np.empty(1 + PARAMETERS_PER_VIEW * n_views)
-    parameters[0] = searched[0]
-    for offset in range(1, 5):
-        parameters[offset::PARAMETERS_PER_VIEW] = searched[offset::4]
-    for axis in (0, 1):
-        total = np.bincount(observations.view, observations.xy[:, axis], minlength=n_views)
-        count = np.maximum(np.bincount(observations.view, minlength=n_views), 1)
-        parameters[5 + axis :: PARAMETERS_PER_VIEW] = total / count
-    return parameters
 
 
 def _without_outliers(observations: Observations, adjustment: Adjustment) -> tuple[Observations, BoolArray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from semscape.options import SfmOptions
+from semscape.sfm.adjust import adjust, with_translations
 from semscape.sfm.evolve import search
 from semscape.sfm.priors import motion_prior
 from semscape.types import FloatArray, Observations, TiltSeries
@@ -21,6 +22,7 @@ def misfitting_view(
     kept: Observations,
     residual_px: FloatArray,
     options: SfmOptions,
+    *,
     rng: np.random.Generator,
 ) -> int | None:
     """Return the view without which the others fit clearly better, None where all fit.
@@ -70,4 +72,6 @@ def _noise_without(
     left = without_view(observations, view)
     if not left.n_points:
         return np.inf
-    return search(left, motion_prior(others, options), options, rng=rng).sigma_px
+    prior = motion_prior(others, options)
+    start = with_translations(search(left, prior, options, rng=rng).evolution.parameters, left, others.n_views)
+    return adjust(start, left, prior, max_iterations=options.max_iterations).sigma_px
