@@ -84,7 +84,8 @@ def measure_scipy(views: int, points: int) -> dict[str, Any]:
     from scipy.optimize import least_squares
     from scipy.sparse import coo_array
 
-    from semscape.sfm.adjust import adjust, camera_jacobians
+    from semscape.sfm.adjust import adjust
+    from semscape.sfm.models import camera_jacobians
 
     observations, prior, start, true = _large_problem(views, points)
     ours, our_seconds = timed(adjust, start, observations, prior, max_iterations=50)
@@ -243,7 +244,7 @@ def _first_points(start: np.ndarray, observations: Any, count: int) -> tuple[np.
 def _triangulated(parameters: np.ndarray, observations: Any, prior: Any) -> np.ndarray:
     import numpy as np
 
-    from semscape.sfm.adjust import camera_jacobians
+    from semscape.sfm.models import camera_jacobians
     from semscape.sfm.schur import solve_points
 
     matrices, _, translations = camera_jacobians(parameters, prior.scale_px_per_um)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from semscape.sfm.adjust import camera_jacobians
+from semscape.sfm.models import camera_jacobians
 from semscape.sfm.schur import camera_equations, cauchy_weights, solve_points
 
 RNG = np.random.default_rng(0)

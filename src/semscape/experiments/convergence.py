@@ -15,8 +15,9 @@ from semscape.experiments.figure_png import figure_png
 from semscape.experiments.simulated_tracks import SimulatedTracks, TrackRecipe, simulate_tracks
 from semscape.experiments.study import Experiment, Figure, Setting, Table
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import PARAMETERS_PER_VIEW, adjust, robust_cost, with_translations
+from semscape.sfm.adjust import adjust, robust_cost, with_translations
 from semscape.sfm.evolve import Evolution, evolve, search
+from semscape.sfm.models import PARAMETERS_PER_VIEW
 from semscape.sfm.priors import motion_prior
 from semscape.types import FloatArray
 

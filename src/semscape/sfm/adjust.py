@@ -12,20 +12,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from semscape.errors import DegenerateGeometryError
-from semscape.geometry.rotations import CAM_FROM_WORLD_AT_ZERO_TILT, axis_rotation, roll_rotation
+from semscape.sfm.models import (
+    PARAMETERS_PER_VIEW,
+    TRANSLATION_SIGMA_PX,
+    UNDETERMINED,
+    MotionModel,
+    TiltSeriesModel,
+)
 from semscape.sfm.noise import noise_sigma_px
 from semscape.sfm.priors import MotionPrior
 from semscape.sfm.schur import camera_equations, cauchy_weights, solve_points
 from semscape.types import FloatArray, Observations
 
-PARAMETERS_PER_VIEW = 6  # tilt, roll, relative scale, anisotropy, x and y translation
 _CAUCHY = 2.385
-_TRANSLATION_SIGMA_PX = 100.0
 _RELATIVE_TOLERANCE = 1e-14
 _REWEIGHTING_TOLERANCE = 1e-7
 _STEPS_PER_REWEIGHTING = 3
 _ROUNDS_PER_POINT = 8
-_UNDETERMINED = "the tracks do not determine the motion of the series: more matches or a wider tilt range are needed"
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,25 @@ def adjust(
     Triggs et al. 2000, doi:10.1007/3-540-44480-7_21 (bundle adjustment); Golub & Pereyra 1973,
     doi:10.1137/0710036 (variable projection).
     """
-    problem = Problem(observations, prior)
+    return refine(
+        parameters,
+        observations,
+        TiltSeriesModel(prior),
+        max_iterations=max_iterations,
+        overdispersion=overdispersion,
+    )
+
+
+def refine(
+    parameters: FloatArray,
+    observations: Observations,
+    model: MotionModel,
+    *,
+    max_iterations: int,
+    overdispersion: float = 1.0,
+) -> Adjustment:
+    """Refine motion and points under any model of the motion; the other arguments are those of `adjust`."""
+    problem = Problem(observations, model)
     weights = np.ones(len(observations.view))
     iterations = 0
     for _ in range(max_iterations):
@@ -96,7 +117,7 @@ def adjust(
             break
     parameters, cost, steps = problem.minimize(parameters, information, max_steps=200)
     hessian = problem.normal_equations(parameters, information).hessian
-    covariance = laplace_covariance(hessian, prior)
+    covariance = model.covariance(hessian)
     residual = problem.residuals(parameters, weights)
     points, points_covariance = problem.points_with_covariance(parameters, information, covariance)
     return Adjustment(
@@ -117,27 +138,6 @@ def with_translations(searched: FloatArray, observations: Observations, n_views:
     return parameters
 
 
-def laplace_covariance(hessian: FloatArray, prior: MotionPrior) -> FloatArray:
-    """Return the covariance of the parameters at the bottom.
-
-    It is the inverse of the normal matrix, with the error added that comes from an anisotropy `anisotropy_reach` times
-    as large as the estimate takes it to be: H^-1 (H + (reach^2 - 1) / sigma^2 on the anisotropies) H^-1.
-
-    Raises
-    ------
-    DegenerateGeometryError
-        When the normal matrix is singular.
-    """
-    try:
-        inverse = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
-    except np.linalg.LinAlgError as error:
-        raise DegenerateGeometryError(_UNDETERMINED) from error
-    by_anisotropy = inverse[:, 4::PARAMETERS_PER_VIEW]
-    excess = (prior.anisotropy_reach**2 - 1) / prior.anisotropy_sigma**2
-    covariance: FloatArray = inverse + excess * by_anisotropy @ by_anisotropy.T
-    return covariance
-
-
 def robust_cost(
     parameters: FloatArray,
     observations: Observations,
@@ -150,7 +150,7 @@ def robust_cost(
     It is twice a negative log-posterior. `Adjustment.cost`, whose noise follows the residuals, cannot tell a good
     fit from a bad one.
     """
-    problem = Problem(observations, prior)
+    problem = Problem(observations, TiltSeriesModel(prior))
     residual = problem.residuals(parameters, problem.cauchy_weights(parameters, sigma_px))
     width_px = _CAUCHY * sigma_px
     data = _CAUCHY**2 * float(np.log1p((residual**2).sum(axis=1) / width_px**2).sum()) / overdispersion
@@ -168,27 +168,19 @@ class NormalEquations:
 
 
 class Problem:
-    """The tracks and priors, ready for evaluation."""
+    """The tracks and a model of the motion, ready for evaluation."""
 
-    def __init__(self, observations: Observations, prior: MotionPrior) -> None:
+    def __init__(self, observations: Observations, model: MotionModel) -> None:
+        self.model = model
         self.view, self.xy = observations.view, np.ascontiguousarray(observations.xy)
         self.start = np.searchsorted(observations.point, np.arange(observations.n_points + 1))
-        self.n_views = prior.n_views
-        self.scale = prior.scale_px_per_um
-        centre, sigma = prior.centre_and_sigma()
-        per_view = np.arange(self.n_views)[:, None] * PARAMETERS_PER_VIEW + 1 + np.arange(PARAMETERS_PER_VIEW)
-        # The axis, which all views share, then each view's own: where the kernel's parameters stand among ours.
-        self.index = np.column_stack([np.zeros(self.n_views, dtype=np.int64), per_view])
-        self.prior_index = np.concatenate([[0], per_view[:, :4].ravel()])
-        self.prior_centre = centre
-        self.prior_weight = np.where(np.isfinite(sigma), 1 / sigma, 0.0)
+        self.translations = model.index[:, -2:].ravel()
 
     def scaled(self, step: FloatArray) -> FloatArray:
         """Return a step with translations in units of 100 px, so that one limit serves all parameters."""
-        units = np.ones(len(step))
-        for offset in (5, 6):
-            units[offset::PARAMETERS_PER_VIEW] = _TRANSLATION_SIGMA_PX
-        return step / units
+        scaled = step.copy()
+        scaled[self.translations] /= TRANSLATION_SIGMA_PX
+        return scaled
 
     def minimize(self, parameters: FloatArray, weights: FloatArray, *, max_steps: int) -> tuple[FloatArray, float, int]:
         """Run Levenberg-Marquardt to the bottom at fixed weights; return parameters, cost and steps."""
@@ -201,7 +193,7 @@ class Problem:
             try:
                 solution = np.linalg.solve(equations.hessian + damping * np.diag(diagonal), equations.gradient)
             except np.linalg.LinAlgError as error:
-                raise DegenerateGeometryError(_UNDETERMINED) from error
+                raise DegenerateGeometryError(UNDETERMINED) from error
             step = np.asarray(solution, dtype=np.float64)
             candidate = self.normal_equations(parameters + step, weights)
             if candidate.cost <= equations.cost:
@@ -219,26 +211,25 @@ class Problem:
     def normal_equations(self, parameters: FloatArray, weights: FloatArray) -> NormalEquations:
         """Build the camera system after the points are eliminated, priors included."""
         blocks, gradients, cost = camera_equations(
-            self.start, self.view, self.xy, weights, *camera_jacobians(parameters, self.scale)
+            self.start, self.view, self.xy, weights, *self.model.cameras(parameters)
         )
         if not np.isfinite(cost):
-            raise DegenerateGeometryError(_UNDETERMINED)
+            raise DegenerateGeometryError(UNDETERMINED)
         size = len(parameters)
         hessian, gradient = np.zeros((size, size)), np.zeros(size)
-        np.add.at(hessian, (self.index[:, :, None, None], self.index), blocks)
-        np.add.at(gradient, self.index, gradients)
+        index, prior_index, prior_weight = self.model.index, self.model.prior_index, self.model.prior_weight
+        np.add.at(hessian, (index[:, :, None, None], index), blocks)
+        np.add.at(gradient, index, gradients)
         deviation = self.prior_deviation(parameters)
-        hessian[self.prior_index, self.prior_index] += self.prior_weight**2
-        gradient[self.prior_index] -= deviation * self.prior_weight
+        hessian[prior_index, prior_index] += prior_weight**2
+        gradient[prior_index] -= deviation * prior_weight
         # A common shift of the world moves no image: this holds the translations without pulling on them.
-        for offset in (5, 6):
-            index = np.arange(self.n_views) * PARAMETERS_PER_VIEW + offset
-            hessian[index, index] += _TRANSLATION_SIGMA_PX**-2
+        hessian[self.translations, self.translations] += TRANSLATION_SIGMA_PX**-2
         return NormalEquations(hessian, gradient, cost + float(deviation @ deviation))
 
     def prior_deviation(self, parameters: FloatArray) -> FloatArray:
         """Return how far the parameters are from their priors, in sigmas."""
-        deviation: FloatArray = (parameters[self.prior_index] - self.prior_centre) * self.prior_weight
+        deviation: FloatArray = (parameters[self.model.prior_index] - self.model.prior_centre) * self.model.prior_weight
         return deviation
 
     def residuals(self, parameters: FloatArray, weights: FloatArray) -> FloatArray:
@@ -247,7 +238,7 @@ class Problem:
 
     def cauchy_weights(self, parameters: FloatArray, sigma_px: float) -> FloatArray:
         """Return the robust weights (K,) of the observations for noise `sigma_px`."""
-        matrices, _, translations = camera_jacobians(parameters, self.scale)
+        matrices, _, translations = self.model.cameras(parameters)
         weights: FloatArray = cauchy_weights(
             self.start, self.view, self.xy, matrices, translations, _CAUCHY * sigma_px, _ROUNDS_PER_POINT
         )
@@ -268,46 +259,8 @@ class Problem:
         return points, total
 
     def _triangulate(self, parameters: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        matrices, _, translations = camera_jacobians(parameters, self.scale)
+        matrices, _, translations = self.model.cameras(parameters)
         points, covariance, residual = solve_points(self.start, self.view, self.xy, weights, matrices, translations)
         if not np.isfinite(points).all():
-            raise DegenerateGeometryError(_UNDETERMINED)
+            raise DegenerateGeometryError(UNDETERMINED)
         return points, covariance, residual
-
-
-def camera_jacobians(parameters: FloatArray, scale_px_per_um: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return camera matrices (V, 2, 3), d matrix / d (axis, tilt, roll, scale, anisotropy) and translations (V, 2)."""
-    axis = parameters[0]
-    per_view = parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
-    tilt, roll, scale, anisotropy = per_view[:, 0], per_view[:, 1], per_view[:, 2], per_view[:, 3]
-    tilted = CAM_FROM_WORLD_AT_ZERO_TILT @ axis_rotation(axis, tilt)
-    # Rodrigues: dRot/dtilt = [a]x Rot; Rot(axis + d) = Rz(d) Rot Rz(-d), so dRot/daxis = [z]x Rot - Rot [z]x.
-    across = _cross_matrix(np.array([np.cos(axis), np.sin(axis), 0.0]))
-    about_z = _cross_matrix(np.array([0.0, 0.0, 1.0]))
-    rotation = axis_rotation(axis, tilt)
-    tilted_by_tilt = CAM_FROM_WORLD_AT_ZERO_TILT @ (across @ rotation)
-    tilted_by_axis = CAM_FROM_WORLD_AT_ZERO_TILT @ (about_z @ rotation - rotation @ about_z)
-    rolled = roll_rotation(roll)
-    stretch = np.stack([1 + anisotropy / 2, 1 - anisotropy / 2], axis=-1)[:, :, None]
-    size = (scale_px_per_um * (1 + scale))[:, None, None]
-
-    def finish(rotated: FloatArray) -> FloatArray:
-        projected: FloatArray = stretch * size * rotated[:, :2]
-        return projected
-
-    matrices = finish(rolled @ tilted)
-    derivatives = np.stack(
-        [
-            finish(rolled @ tilted_by_axis),
-            finish(rolled @ tilted_by_tilt),
-            finish(about_z @ rolled @ tilted),
-            matrices / (1 + scale)[:, None, None],
-            np.array([0.5, -0.5])[:, None] * size * (rolled @ tilted)[:, :2],
-        ],
-        axis=1,
-    )
-    return matrices, derivatives, np.ascontiguousarray(per_view[:, 4:6])
-
-
-def _cross_matrix(v: FloatArray) -> FloatArray:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

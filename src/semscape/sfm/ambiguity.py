@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import PARAMETERS_PER_VIEW, Adjustment, Problem, adjust, laplace_covariance, robust_cost
+from semscape.sfm.adjust import Adjustment, Problem, adjust, robust_cost
+from semscape.sfm.models import PARAMETERS_PER_VIEW, TiltSeriesModel
 from semscape.sfm.priors import MotionPrior
 from semscape.types import FloatArray, Observations
 
@@ -42,10 +43,10 @@ def images_height_scale_sigma(
 
     Infinite where they give nothing: two views.
     """
-    unbound = prior.without_stage()
+    model = TiltSeriesModel(prior.without_stage())
     information = found.weights / (found.sigma_px**2 * overdispersion)
-    hessian = Problem(observations, unbound).normal_equations(found.parameters, information).hessian
-    covariance = laplace_covariance(hessian, unbound)[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
+    hessian = Problem(observations, model).normal_equations(found.parameters, information).hessian
+    covariance = model.covariance(hessian)[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
     sigma = height_scale_relative_sigma(found.parameters[1::PARAMETERS_PER_VIEW], covariance)
     return sigma if sigma < _NOTHING_KNOWN else np.inf
 

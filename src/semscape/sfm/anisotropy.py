@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from semscape.sfm.adjust import PARAMETERS_PER_VIEW, Adjustment, adjust
+from semscape.sfm.adjust import Adjustment, adjust
+from semscape.sfm.models import PARAMETERS_PER_VIEW
 from semscape.sfm.priors import MotionPrior
 from semscape.types import Observations
 
@@ -24,8 +25,8 @@ def adjust_learning_anisotropy(
     No two microscopes share that sigma. The prior's own counts as four views with that scatter; what the
     series adds is found by expectation-maximization. Where the images do not tell it, it stays what it was.
 
-    The interval is to hold for a scan that stretches so, but most stretch less, and an estimate that allows for more than
-    there is follows the noise: so the estimate takes half of it, and the covariance all of it.
+    The interval is to hold for a scan that stretches so, but most stretch less, and an estimate that allows for more
+    than there is follows the noise: so the estimate takes half of it, and the covariance all of it.
 
     Parameters
     ----------

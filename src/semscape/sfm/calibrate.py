@@ -16,10 +16,11 @@ from semscape.geometry.cameras import (
 )
 from semscape.geometry.rotations import wrap_axis_angle
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import PARAMETERS_PER_VIEW, Adjustment, adjust, with_translations
+from semscape.sfm.adjust import Adjustment, adjust, with_translations
 from semscape.sfm.ambiguity import height_scale_relative_sigma, images_height_scale_sigma, mirror_margin
 from semscape.sfm.anisotropy import adjust_learning_anisotropy
 from semscape.sfm.evolve import Evolution, evolve, search
+from semscape.sfm.models import PARAMETERS_PER_VIEW
 from semscape.sfm.noise import free_share, residual_overdispersion
 from semscape.sfm.perspective import PerspectiveFit, fit_perspective
 from semscape.sfm.plausibility import (
