@@ -52,6 +52,7 @@ _RANGES = {
     "sfm.de_population_per_variable": _Range(2),
     "sfm.de_tolerance": _Range(0),
     "sfm.max_iterations": _Range(1),
+    "sfm.scan_drift_degree": _Range(0, 12),
     "dense.max_pairs": _Range(1),
     "dense.census_radius_px": _Range(1, 3),
     "dense.penalty_small": _POSITIVE,
@@ -113,8 +114,9 @@ class SfmOptions(_Stage):
     `prior_tilt_deg` is the trust in a stage tilt that is known. The search ends after `de_generations`, or where the
     population's costs differ by less than `de_tolerance`, relatively. `camera` is "orthographic", "perspective", or
     "auto": both are fitted and an information criterion chooses. `invert_relief` mirrors a self-calibrated series whose
-    sign nothing but the shading fixes. `method` "thesis" takes the tilts from the textbook route, the baseline that
-    the default is compared with.
+    sign nothing but the shading fixes. `scan_drift_degree` is that of the polynomials over the rows that take the
+    drift of each scan out, where they explain it; below 2 none are. `method` "thesis" takes the tilts from the textbook
+    route, the baseline that the default is compared with.
     """
 
     prior_tilt_deg: float = 0.1
@@ -127,6 +129,7 @@ class SfmOptions(_Stage):
     de_strategy: str = "best1bin"
     de_tolerance: float = 1e-6
     max_iterations: int = 50
+    scan_drift_degree: int = 6
     method: str = "series"
     camera: str = "orthographic"
     invert_relief: bool = False

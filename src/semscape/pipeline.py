@@ -115,6 +115,7 @@ def reconstruct(
             figures["de_cost"] = calibration.evolution.cost
             figures["noise_sigma_px"] = calibration.sigma_px
             figures["overdispersion"] = calibration.overdispersion
+            figures["scan_drift_px"] = calibration.drift_px.round(3).tolist()
             figures["mirror_margin"] = reconstruction.mirror_margin
             figures["camera"], figures["camera_margin"] = reconstruction.camera, reconstruction.camera_margin
 

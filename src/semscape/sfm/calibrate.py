@@ -19,6 +19,7 @@ from semscape.options import SfmOptions
 from semscape.sfm.adjust import Adjustment, adjust, with_translations
 from semscape.sfm.ambiguity import height_scale_relative_sigma, images_height_scale_sigma, mirror_margin
 from semscape.sfm.anisotropy import adjust_learning_anisotropy
+from semscape.sfm.drift import ScanDrift, fit_drift
 from semscape.sfm.evolve import Evolution, evolve, search
 from semscape.sfm.models import PARAMETERS_PER_VIEW
 from semscape.sfm.noise import free_share, residual_overdispersion
@@ -45,16 +46,21 @@ from semscape.types import (
 
 _REJECT_IN_SIGMAS = 5.0
 _LEAST_TRACKS = 24
+# Neighbouring residuals that move together this much, as a variance against independent ones, show scan drift.
+_SHARED_ERRORS = 1.5
+# Measured series have other distortions too: where rows do not explain them, polynomials of the rows do harm.
+_CLEARLY_LESS = 0.5
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A reconstruction with the record of its search."""
+    """A reconstruction with the record of its search, the noise, its overdispersion, and the scan drift (V,) px rms."""
 
     reconstruction: Reconstruction
     evolution: Evolution
     sigma_px: float
     overdispersion: float
+    drift_px: FloatArray
 
 
 def calibrate(
@@ -102,10 +108,15 @@ def calibrate(
         prior,
         max_iterations=options.max_iterations,
     )
-    kept, keep = _without_outliers(observations, first)
-    overdispersion = residual_overdispersion(
-        first.residual_px[keep], kept, first.weights[keep], first.sigma_px, series.n_views
-    )
+    kept, keep, overdispersion = _kept(observations, first, series.n_views)
+    drift_px = np.zeros(series.n_views)
+    if overdispersion > _SHARED_ERRORS and options.scan_drift_degree >= 2:
+        drift, steady = _drift(series, observations, first, prior, options)
+        still = replace(observations, xy=observations.xy - drift.at(observations))
+        without = _kept(still, steady, series.n_views)
+        if without[2] < _CLEARLY_LESS * overdispersion:
+            (kept, keep, overdispersion), first, drift_px = without, steady, drift.rms_px
+    as_seen = observations.xy[keep]
     learnt, final = adjust_learning_anisotropy(
         first, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion
     )
@@ -115,7 +126,7 @@ def calibrate(
         if options.camera == "perspective" or perspective.margin > 0:
             kept, final = perspective.observations, perspective.adjustment
     reconstruction = replace(
-        _reconstruction(series, kept, final, prior, options, doubts),
+        _reconstruction(series, replace(kept, xy=as_seen), final, prior, options, doubts),
         prior_mean=prior.centre_and_sigma()[0],
         prior_sigma=replace(
             learnt, anisotropy_sigma=learnt.anisotropy_sigma * learnt.anisotropy_reach
@@ -125,7 +136,32 @@ def calibrate(
     )
     if perspective is not None:
         reconstruction = _with_camera(reconstruction, perspective, final, options)
-    return Calibration(reconstruction, found.evolution, final.sigma_px, overdispersion)
+    return Calibration(reconstruction, found.evolution, final.sigma_px, overdispersion, drift_px)
+
+
+def _kept(observations: Observations, adjustment: Adjustment, n_views: int) -> tuple[Observations, BoolArray, float]:
+    """Return the observations that are no outliers, which they are, and their overdispersion."""
+    kept, keep = _without_outliers(observations, adjustment)
+    overdispersion = residual_overdispersion(
+        adjustment.residual_px[keep], kept, adjustment.weights[keep], adjustment.sigma_px, n_views
+    )
+    return kept, keep, overdispersion
+
+
+def _drift(
+    series: TiltSeries, observations: Observations, first: Adjustment, prior: MotionPrior, options: SfmOptions
+) -> tuple[ScanDrift, Adjustment]:
+    def refit(parameters: FloatArray, corrected: Observations) -> Adjustment:
+        return adjust(parameters, corrected, prior, max_iterations=options.max_iterations)
+
+    return fit_drift(
+        first,
+        observations,
+        refit,
+        n_views=series.n_views,
+        height_px=series.shape[0],
+        degree=options.scan_drift_degree,
+    )
 
 
 def _perspective(

@@ -1,8 +1,8 @@
 """The motion of a full-object acquisition: stage tilt combined with stage rotation, 10 to 40 views all around.
 
 Here no axis is shared by all views in the world, and every rotation is free about what the stage says. The tilt and
-the rotation of every view must be told: nothing is searched but the direction of the stage's tilt axis in the images and
-the sense in which its rotation is read. This is the motion alone; the dense stage is for single-axis series.
+the rotation of every view must be told: nothing is searched but the direction of the stage's tilt axis in the
+images and the sense in which its rotation is read. This is the motion alone; the dense stage is for single-axis series.
 """
 
 from __future__ import annotations
