@@ -10,6 +10,7 @@ from semscape.sfm.models import PARAMETERS_PER_VIEW, TiltSeriesModel
 from semscape.sfm.priors import MotionPrior
 from semscape.types import FloatArray, Observations
 
+_LEAST_VIEWS = 3
 _NOTHING_KNOWN = 10.0
 
 
@@ -44,8 +45,12 @@ def images_height_scale_sigma(
     Infinite where they give nothing: two views.
     """
     model = TiltSeriesModel(prior.without_stage())
+    if prior.n_views < _LEAST_VIEWS:
+        return np.inf
     information = found.weights / (found.sigma_px**2 * overdispersion)
     hessian = Problem(observations, model).normal_equations(found.parameters, information).hessian
+    if np.linalg.eigvalsh(hessian)[0] <= 0:
+        return np.inf
     covariance = model.covariance(hessian)[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
     sigma = height_scale_relative_sigma(found.parameters[1::PARAMETERS_PER_VIEW], covariance)
     return sigma if sigma < _NOTHING_KNOWN else np.inf
