@@ -50,7 +50,9 @@ _RANGES = {
     "sfm.max_tilt_deg": _Range(0, 80, above=True),
     "sfm.de_generations": _Range(1),
     "sfm.de_population_per_variable": _Range(2),
+    "sfm.de_tolerance": _Range(0),
     "sfm.max_iterations": _Range(1),
+    "sfm.scan_drift_degree": _Range(0, 12),
     "dense.max_pairs": _Range(1),
     "dense.census_radius_px": _Range(1, 3),
     "dense.penalty_small": _POSITIVE,
@@ -65,6 +67,9 @@ _RANGES = {
 _CHOICES = {
     "features.detector": ["sift", "surf", "orb", "brief"],
     "robust.model": ["affine", "fundamental", "homography", "essential", "auto"],
+    "sfm.camera": ["orthographic", "perspective", "auto"],
+    "sfm.method": ["series", "thesis"],
+    "sfm.de_strategy": ["best1bin", "rand1bin"],
 }
 
 
@@ -123,18 +128,27 @@ class RobustOptions(_Stage):
 class SfmOptions(_Stage):
     """Motion of the series: priors (1 sigma), Differential Evolution and bundle adjustment.
 
-    `prior_tilt_deg` is the trust in a stage tilt that is known; `invert_relief` mirrors a self-calibrated
-    series whose sign nothing but the shading fixes.
+    `prior_tilt_deg` is the trust in a stage tilt that is known. The search ends after `de_generations`, or where the
+    population's costs differ by less than `de_tolerance`, relatively. `camera` is "orthographic", "perspective", or
+    "auto": both are fitted and an information criterion chooses. `invert_relief` mirrors a self-calibrated series whose
+    sign nothing but the shading fixes. `scan_drift_degree` is that of the polynomials over the rows that take the
+    drift of each scan out, where they explain it; below 2 none are. `method` "thesis" takes the tilts from the textbook
+    route, the baseline that the default is compared with.
     """
 
     prior_tilt_deg: float = 0.1
     prior_roll_deg: float = 0.5
     prior_scale: float = 0.002
-    prior_anisotropy: float = 0.0005
+    prior_anisotropy: float = 0.001
     max_tilt_deg: float = 40.0
     de_generations: int = 120
     de_population_per_variable: int = 8
+    de_strategy: str = "best1bin"
+    de_tolerance: float = 1e-6
     max_iterations: int = 50
+    scan_drift_degree: int = 6
+    method: str = "series"
+    camera: str = "orthographic"
     invert_relief: bool = False
 
 

@@ -20,11 +20,13 @@ from semscape.features.detect import detect
 from semscape.options import Options, RunOptions
 from semscape.report.summary import build_report, pair_figures
 from semscape.robust.pair_geometry import pinhole_calibrations
-from semscape.sfm.calibrate import calibrate
+from semscape.sfm.calibrate import Calibration, calibrate
+from semscape.sfm.misfit import misfitting_view
 from semscape.sfm.plausibility import require_tilts
+from semscape.sfm.thesis import thesis_calibration
 from semscape.sfm.tracks import build_tracks
 from semscape.sfm.two_view import Pair, largest_connected_set, match_pair, renumber
-from semscape.types import Keypoints, Matches, Result, StageReport, TiltSeries, TwoViewGeometry
+from semscape.types import Keypoints, Matches, Observations, Result, StageReport, TiltSeries, TwoViewGeometry
 
 Progress = Callable[[str, dict[str, Any] | None], None]
 
@@ -95,7 +97,17 @@ def reconstruct(
 
         with stages("calibrate") as figures:
             observations = build_tracks(keypoints, matches, geometries)
-            calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
+            if options.sfm.method == "thesis":
+                calibration, thesis = thesis_calibration(series, observations, options.sfm, rng=_stream(seed, "thesis"))
+                failures += thesis.failures
+            else:
+                calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
+            while (misfit := _misfit(series, observations, calibration, options, seed)) is not None:
+                series, kept = _without_misfit(series, misfit)
+                keypoints = tuple(keypoints[i] for i in kept)
+                matches, geometries = renumber(matches, geometries, kept)
+                observations = build_tracks(keypoints, matches, geometries)
+                calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
             reconstruction = calibration.reconstruction
             figures["rms_px"] = reconstruction.rms_px
             figures["tilts_deg"] = np.rad2deg(reconstruction.motion.tilt_rad).round(3).tolist()
@@ -104,6 +116,9 @@ def reconstruct(
             figures["de_cost"] = calibration.evolution.cost
             figures["noise_sigma_px"] = calibration.sigma_px
             figures["overdispersion"] = calibration.overdispersion
+            figures["scan_drift_px"] = calibration.drift_px.round(3).tolist()
+            figures["mirror_margin"] = reconstruction.mirror_margin
+            figures["camera"], figures["camera_margin"] = reconstruction.camera, reconstruction.camera_margin
 
         with stages("surface") as figures:
             surface = dense_surface(series, reconstruction, options.dense, mapper=mapper)
@@ -177,6 +192,24 @@ def _connected(
     )
     require_tilts(series)
     return series, tuple(keypoints[i] for i in kept), *renumber(matches, geometries, kept)
+
+
+def _misfit(
+    series: TiltSeries, observations: Observations, calibration: Calibration, options: Options, seed: int
+) -> int | None:
+    if options.sfm.method == "thesis":
+        return None  # tilts that are wrong by degrees fit no view
+    found, rng = calibration.reconstruction, _stream(seed, "misfit", series.n_views)
+    return misfitting_view(series, observations, found.observations, found.residual_px, options.sfm, rng=rng)
+
+
+def _without_misfit(series: TiltSeries, misfit: int) -> tuple[TiltSeries, tuple[int, ...]]:
+    kept = tuple(index for index in range(series.n_views) if index != misfit)
+    why = (
+        f"left out, because it does not fit the motion of the others: {series.names[misfit]} (moved or charged "
+        "specimen, another stage rotation or magnification?)"
+    )
+    return series.select(kept, why), kept
 
 
 def _stream(seed: int, stage: str, *indices: int) -> np.random.Generator:

@@ -239,6 +239,12 @@ class Reconstruction(_Value):
     `residual_px` (K, 2) and `weights` (K,) belong to the observations; an observation of weight 0 was rejected.
     `tilt_prior_rad` is the stage's tilt (NaN where unknown), `reference` the view closest to zero tilt.
     `contradictions` says where the images disagree with what was told: such a result must not be measured.
+    `prior_mean` and `prior_sigma` (1 + 4 V,) are what was known before: axis, then per view tilt, roll, relative
+    scale, anisotropy; an infinite sigma is free. `mirror_margin` is by how much the mirrored motion costs more (twice
+    the negative log-posterior), `height_scale_relative_sigma_of_images` what the images would give without the stage.
+    `camera` names the camera model, `inverse_distance_per_um` is 1 / distance of its centre (0 for parallel
+    projection) with its sigma, NaN where it was not asked, `camera_margin` by how much perspective is the better one
+    (difference of the Bayesian information criterion).
     """
 
     motion: Motion
@@ -259,6 +265,14 @@ class Reconstruction(_Value):
     length_unit: LengthUnit
     warnings: tuple[str, ...] = ()
     contradictions: tuple[str, ...] = ()
+    prior_mean: FloatArray = field(default_factory=lambda: np.empty(0))
+    prior_sigma: FloatArray = field(default_factory=lambda: np.empty(0))
+    mirror_margin: float = np.nan
+    camera: str = "orthographic"
+    inverse_distance_per_um: float = 0.0
+    inverse_distance_sigma_per_um: float = np.nan
+    camera_margin: float = np.nan
+    height_scale_relative_sigma_of_images: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)

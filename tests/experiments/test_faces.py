@@ -62,7 +62,9 @@ def test_a_quick_run_has_every_case_with_every_method() -> None:
     done = run(Setting(quick=True))
     cases = next(table for table in done.tables if table.name == "cases")
     assert [row[:4] for row in cases.rows] == [("face", views, 6.0, method) for views in (2, 3) for method in METHODS]
-    value = {name: [row[i] for row in cases.rows] for i, name in enumerate(cases.columns)}
+    # The thesis's route may fail, and may be wrong by any angle: that is what its column shows.
+    ours = [row for row in cases.rows if row[3] != "thesis"]
+    value = {name: [row[i] for row in ours] for i, name in enumerate(cases.columns)}
     assert all(0.001 < error < 0.6 for error in value["rotation error (deg)"])
     assert all(0.2 < error < 6 for error in value["median height error (px)"])
     assert all(0.05 < share < 0.9 for share in value["completeness at 1 px"])

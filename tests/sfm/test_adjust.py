@@ -7,7 +7,9 @@ import pytest
 
 from semscape.errors import DegenerateGeometryError
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import adjust, camera_jacobians, noise_sigma_px, residual_overdispersion
+from semscape.sfm.adjust import adjust
+from semscape.sfm.models import camera_jacobians
+from semscape.sfm.noise import noise_sigma_px, residual_overdispersion
 from semscape.sfm.priors import motion_prior
 from synthetic_tracks import PIXEL_UM, Tracks, make_tracks
 

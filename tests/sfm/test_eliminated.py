@@ -99,6 +99,6 @@ def test_evolution_comes_to_the_same_bottom_from_any_seed(staged: bool) -> None:
     assert np.ptp(cost) < 0.05 * cost.min()
     for one in found:
         assert (np.diff(one.best_cost) <= 1e-9).all()  # it never loses its best
-        assert len(one.best_cost) == options.de_generations
+        assert 10 < len(one.best_cost) <= options.de_generations
         steps = np.abs(np.diff(np.rad2deg(one.parameters[1::4])))
         np.testing.assert_allclose(steps, 4.0, atol=0.6 if staged else 1.5)

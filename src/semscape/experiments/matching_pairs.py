@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from semscape.experiments.figure_png import figure_png
 from semscape.experiments.study import Figure, Setting, Table
 from semscape.experiments.true_matches import true_match_px
 from semscape.features.detect import detect
 from semscape.features.match import match
 from semscape.io.series import load_series
 from semscape.options import FeaturesOptions
+from semscape.report.figures import drawn_png
 from semscape.robust.acransac import ac_ransac
 from semscape.robust.models import AFFINE, FUNDAMENTAL, HOMOGRAPHY
 from semscape.robust.ransac import ransac
@@ -57,7 +57,7 @@ def simulated_pair(setting: Setting, thresholds_px: tuple[float, ...]) -> tuple[
     )
     images = series.views[pair[0]].image, series.views[pair[1]].image
     shown = [(f"{name}: {fit.inliers.sum()} inliers", fit.inliers) for name, fit in (fits[0], fits[-1])]
-    picture = figure_png((10.0, 10.0), lambda figure: _draw(figure, images, x1, x2, known, right, shown))
+    picture = drawn_png((10.0, 10.0), lambda figure: _draw(figure, images, x1, x2, known, right, shown))
     return table, Figure(
         "matching_thresholds",
         "The same pair with a fixed threshold and a contrario",

@@ -14,8 +14,11 @@ ALL = "all"
 # Section 2 of the thesis, then 3.4 to 3.8. A module is imported when its experiment runs.
 EXPERIMENTS: Mapping[str, str] = MappingProxyType(
     {
+        "features": "semscape.experiments.features:run",
         "matching": "semscape.experiments.matching:run",
         "surfaces": "semscape.experiments.surfaces:run",
+        "calibration": "semscape.experiments.calibration:run",
+        "convergence": "semscape.experiments.convergence:run",
         "faces": "semscape.experiments.faces:run",
     }
 )

@@ -149,6 +149,7 @@ def reconstruction_to_dict(reconstruction: Reconstruction, names: Sequence[str])
             f"scale_sigma_px_per_{unit}": scale[i] * sigma[i, 2],
             "anisotropy": motion.anisotropy[i],
             "anisotropy_sigma": sigma[i, 3],
+            "prior": prior_figures(reconstruction, i),
             "R": rotation[i],
             "t_px": motion.translation_px[i],
         }
@@ -161,6 +162,8 @@ def reconstruction_to_dict(reconstruction: Reconstruction, names: Sequence[str])
         "reference_view": names[reconstruction.reference],
         "tilt_source": reconstruction.tilt_source,
         "height_scale_relative_sigma": reconstruction.height_scale_relative_sigma,
+        "height_scale_relative_sigma_of_images": reconstruction.height_scale_relative_sigma_of_images,
+        "mirror_margin": reconstruction.mirror_margin,
         "ambiguity": reconstruction.ambiguity,
         "relief_confidence": reconstruction.relief_confidence,
         "rms_px": reconstruction.rms_px,
@@ -206,6 +209,21 @@ def read_motion(folder: Path | str) -> tuple[Motion, int, tuple[str, ...]]:
         return motion, names.index(told["reference_view"]), names
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise BadInputError(f"{path} is no reconstruction that semscape wrote: {error}") from error
+
+
+def prior_figures(reconstruction: Reconstruction, view: int) -> dict[str, float]:
+    """Return what was known of a view's motion before: 1-sigmas, and the tilt's mean; null is free."""
+    if not len(reconstruction.prior_sigma):
+        return {}
+    first = 1 + 4 * view
+    tilt, roll, scale, anisotropy = reconstruction.prior_sigma[first : first + 4]
+    return {
+        "tilt_deg": math.degrees(reconstruction.prior_mean[first]) if math.isfinite(tilt) else math.nan,
+        "tilt_sigma_deg": math.degrees(tilt),
+        "roll_sigma_deg": math.degrees(roll),
+        "scale_relative_sigma": scale,
+        "anisotropy_sigma": anisotropy,
+    }
 
 
 def options_toml(options: Mapping[str, Any]) -> str:

@@ -6,19 +6,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from semscape.errors import BadInputError, TooFewMatchesError
-from semscape.geometry.cameras import camera_matrices
+from semscape.errors import TooFewMatchesError
+from semscape.geometry.cameras import (
+    PerspectiveCamera,
+    ScaledOrthographicCamera,
+    camera_matrices,
+    cameras_of,
+    perspective_cameras_of,
+)
 from semscape.geometry.rotations import wrap_axis_angle
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import (
-    PARAMETERS_PER_VIEW,
-    Adjustment,
-    adjust,
-    free_share,
-    residual_overdispersion,
-)
-from semscape.sfm.eliminated import pattern_scatters
-from semscape.sfm.evolve import Evolution, evolve
+from semscape.sfm.adjust import Adjustment, adjust, with_translations
+from semscape.sfm.ambiguity import height_scale_relative_sigma, images_height_scale_sigma, mirror_margin
+from semscape.sfm.anisotropy import adjust_learning_anisotropy
+from semscape.sfm.drift import ScanDrift, fit_drift
+from semscape.sfm.evolve import Evolution, evolve, search
+from semscape.sfm.models import PARAMETERS_PER_VIEW
+from semscape.sfm.noise import free_share, residual_overdispersion
+from semscape.sfm.perspective import PerspectiveFit, fit_perspective
 from semscape.sfm.plausibility import (
     height_scale_warnings,
     perspective_warnings,
@@ -28,9 +33,8 @@ from semscape.sfm.plausibility import (
     stage_contradictions,
 )
 from semscape.sfm.priors import MotionPrior, motion_prior
-from semscape.sfm.relief import relief_vote
+from semscape.sfm.relief import relief_sign
 from semscape.types import (
-    Ambiguity,
     BoolArray,
     FloatArray,
     Motion,
@@ -40,20 +44,23 @@ from semscape.types import (
     TiltSource,
 )
 
-_START_NOISE_PX = 0.4
 _REJECT_IN_SIGMAS = 5.0
 _LEAST_TRACKS = 24
-_CERTAIN_VOTE = 0.98
+# Neighbouring residuals that move together this much, as a variance against independent ones, show scan drift.
+_SHARED_ERRORS = 1.5
+# Measured series have other distortions too: where rows do not explain them, polynomials of the rows do harm.
+_CLEARLY_LESS = 0.5
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A reconstruction with the record of its search."""
+    """A reconstruction with the record of its search, the noise, its overdispersion, and the scan drift (V,) px rms."""
 
     reconstruction: Reconstruction
     evolution: Evolution
     sigma_px: float
     overdispersion: float
+    drift_px: FloatArray
 
 
 def calibrate(
@@ -90,39 +97,124 @@ def calibrate(
     prior = motion_prior(series, options)
     doubts = require_parallax(series, observations, prior)
 
-    patterns = pattern_scatters(observations, series.n_views, np.ones(observations.n_points))
-    evolution = evolve(patterns, prior, _START_NOISE_PX, options, rng=rng)
+    found = search(observations, prior, options, rng=rng)
     if not prior.self_calibrated and series.n_views > 2:
-        unbound = evolve(patterns, prior.without_stage(), _START_NOISE_PX, options, rng=rng)
+        unbound = evolve(found.patterns, prior.without_stage(), found.sigma_px, options, rng=rng)
         n_free = 2 * len(observations.view) - 3 * observations.n_points
-        doubts += stage_contradictions(patterns, evolution.parameters, unbound.parameters, n_free, prior)
+        doubts += stage_contradictions(found.patterns, found.evolution.parameters, unbound.parameters, n_free, prior)
     first = adjust(
-        _start_parameters(evolution.parameters, observations, series.n_views),
+        with_translations(found.evolution.parameters, observations, series.n_views),
         observations,
         prior,
         max_iterations=options.max_iterations,
     )
-    kept, keep = _without_outliers(observations, first)
+    kept, keep, overdispersion = _kept(observations, first, series.n_views)
+    drift_px = np.zeros(series.n_views)
+    if overdispersion > _SHARED_ERRORS and options.scan_drift_degree >= 2:
+        drift, steady = _drift(series, observations, first, prior, options)
+        still = replace(observations, xy=observations.xy - drift.at(observations))
+        without = _kept(still, steady, series.n_views)
+        if without[2] < _CLEARLY_LESS * overdispersion:
+            (kept, keep, overdispersion), first, drift_px = without, steady, drift.rms_px
+    as_seen = observations.xy[keep]
+    learnt, final = adjust_learning_anisotropy(
+        first, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion
+    )
+    perspective = None
+    if options.camera != "orthographic":
+        perspective = _perspective(series, kept, final, learnt, options, overdispersion)
+        if options.camera == "perspective" or perspective.margin > 0:
+            kept, final = perspective.observations, perspective.adjustment
+    reconstruction = replace(
+        _reconstruction(series, replace(kept, xy=as_seen), final, prior, options, doubts),
+        prior_mean=prior.centre_and_sigma()[0],
+        prior_sigma=replace(
+            learnt, anisotropy_sigma=learnt.anisotropy_sigma * learnt.anisotropy_reach
+        ).centre_and_sigma()[1],
+        mirror_margin=mirror_margin(kept, final, learnt, options, overdispersion),
+        height_scale_relative_sigma_of_images=images_height_scale_sigma(kept, final, learnt, overdispersion),
+    )
+    if perspective is not None:
+        reconstruction = _with_camera(reconstruction, perspective, final, options)
+    return Calibration(reconstruction, found.evolution, final.sigma_px, overdispersion, drift_px)
+
+
+def _kept(observations: Observations, adjustment: Adjustment, n_views: int) -> tuple[Observations, BoolArray, float]:
+    """Return the observations that are no outliers, which they are, and their overdispersion."""
+    kept, keep = _without_outliers(observations, adjustment)
     overdispersion = residual_overdispersion(
-        first.residual_px[keep], kept, first.weights[keep], first.sigma_px, series.n_views
+        adjustment.residual_px[keep], kept, adjustment.weights[keep], adjustment.sigma_px, n_views
     )
-    final = adjust(first.parameters, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion)
-    return Calibration(
-        _reconstruction(series, kept, final, prior, options, doubts), evolution, final.sigma_px, overdispersion
+    return kept, keep, overdispersion
+
+
+def _drift(
+    series: TiltSeries, observations: Observations, first: Adjustment, prior: MotionPrior, options: SfmOptions
+) -> tuple[ScanDrift, Adjustment]:
+    def refit(parameters: FloatArray, corrected: Observations) -> Adjustment:
+        return adjust(parameters, corrected, prior, max_iterations=options.max_iterations)
+
+    return fit_drift(
+        first,
+        observations,
+        refit,
+        n_views=series.n_views,
+        height_px=series.shape[0],
+        degree=options.scan_drift_degree,
     )
 
 
-def _start_parameters(searched: FloatArray, observations: Observations, n_views: int) -> FloatArray:
-    """Add to the searched motion (1 + 4 V,) the translations, from the mean of each view's observations."""
-    parameters = np.empty(1 + PARAMETERS_PER_VIEW * n_views)
-    parameters[0] = searched[0]
-    for offset in range(1, 5):
-        parameters[offset::PARAMETERS_PER_VIEW] = searched[offset::4]
-    for axis in (0, 1):
-        total = np.bincount(observations.view, observations.xy[:, axis], minlength=n_views)
-        count = np.maximum(np.bincount(observations.view, minlength=n_views), 1)
-        parameters[5 + axis :: PARAMETERS_PER_VIEW] = total / count
-    return parameters
+def _perspective(
+    series: TiltSeries,
+    observations: Observations,
+    parallel: Adjustment,
+    prior: MotionPrior,
+    options: SfmOptions,
+    overdispersion: float,
+) -> PerspectiveFit:
+    centre_px = np.array([(series.shape[1] - 1) / 2, (series.shape[0] - 1) / 2])
+
+    def refit(parameters: FloatArray, corrected: Observations) -> Adjustment:
+        return adjust(
+            parameters, corrected, prior, max_iterations=options.max_iterations, overdispersion=overdispersion
+        )
+
+    def cameras_at(
+        parameters: FloatArray, inverse_distance: float
+    ) -> tuple[tuple[ScaledOrthographicCamera, ...], tuple[PerspectiveCamera, ...]]:
+        motion = _motion(parameters, prior)
+        return cameras_of(motion), perspective_cameras_of(motion, inverse_distance, centre_px)
+
+    return fit_perspective(parallel, observations, prior, refit, cameras_at, overdispersion=overdispersion)
+
+
+def _with_camera(
+    reconstruction: Reconstruction, fit: PerspectiveFit, final: Adjustment, options: SfmOptions
+) -> Reconstruction:
+    """State which camera was taken and why; the sign of the distance must agree with that of the relief."""
+    taken = final is fit.adjustment
+    mirrored = float(reconstruction.motion.tilt_rad @ final.parameters[1::PARAMETERS_PER_VIEW]) < 0
+    inverse_distance = -fit.inverse_distance_per_um if mirrored else fit.inverse_distance_per_um
+    warnings = list(reconstruction.warnings)
+    if fit.margin > 0 and inverse_distance < 0:
+        warnings.append(
+            f"the perspective says ({abs(inverse_distance) / fit.sigma_per_um:.1f} sigma) that the relief is turned "
+            "inside out: what is nearer looks larger. Check the sign of the tilts, or --invert-relief"
+        )
+    if fit.margin > 0 and options.camera == "auto":
+        warnings.append(
+            f"the images show perspective: its information criterion is better by {fit.margin:.0f}, the centre of "
+            f"projection lies {1 / abs(inverse_distance):.3g} {reconstruction.length_unit} away. The tilts hold it; "
+            "the dense surface is computed as in parallel projection"
+        )
+    return replace(
+        reconstruction,
+        camera="perspective" if taken else "orthographic",
+        inverse_distance_per_um=inverse_distance if taken else 0.0,
+        inverse_distance_sigma_per_um=fit.sigma_per_um,
+        camera_margin=fit.margin,
+        warnings=tuple(warnings),
+    )
 
 
 def _without_outliers(observations: Observations, adjustment: Adjustment) -> tuple[Observations, BoolArray]:
@@ -146,7 +238,7 @@ def _reconstruction(
 ) -> Reconstruction:
     motion = _motion(final.parameters, prior)
     points = final.points_um
-    sign, ambiguity, confidence, warnings = _relief_sign(series, observations, points, prior, options)
+    sign, ambiguity, confidence, warnings = relief_sign(series, observations, points, prior, options)
     if sign < 0:
         motion = replace(motion, tilt_rad=-motion.tilt_rad)
         points = points * np.array([1.0, 1.0, -1.0])
@@ -157,9 +249,7 @@ def _reconstruction(
     signs[1::PARAMETERS_PER_VIEW] = sign * (-1.0 if wrap_axis_angle(final.parameters[0])[1] else 1.0)
     covariance *= signs[:, None] * signs
     tilt_covariance = covariance[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
-    deviation = motion.tilt_rad - motion.tilt_rad.mean()
-    gradient = deviation / max(float(deviation @ deviation), 1e-18)
-    height_scale_sigma = float(np.sqrt(gradient @ tilt_covariance @ gradient))
+    height_scale_sigma = height_scale_relative_sigma(motion.tilt_rad, tilt_covariance)
     tilt_sigma = np.sqrt(np.diag(tilt_covariance))
     contradictions = [*doubts, *prior_contradictions(series.names, final.parameters, prior)]
     warnings += height_scale_warnings(height_scale_sigma, prior)
@@ -210,41 +300,6 @@ def _centre_world(
     right = centre_px - motion.translation_px[reference] - matrices[reference][:, 2] * z
     origin = np.append(np.linalg.solve(matrices[reference][:, :2], right), z)
     return replace(motion, translation_px=motion.translation_px + matrices @ origin), points - origin
-
-
-def _relief_sign(
-    series: TiltSeries,
-    observations: Observations,
-    points: FloatArray,
-    prior: MotionPrior,
-    options: SfmOptions,
-) -> tuple[float, Ambiguity, float, list[str]]:
-    """Decide whether to mirror the relief: by the stage's sign, else by shading, reported as assumed."""
-    if not prior.self_calibrated and options.invert_relief:
-        raise BadInputError(
-            "--invert-relief is for series without stage tilts; here the sign of the tilts fixes the relief. "
-            "If the relief is inverted, give the tilts with the opposite signs (--tilts)"
-        )
-    in_reference = observations.view == prior.reference
-    seen = observations.point[in_reference]
-    correlation, confidence = relief_vote(series.views[prior.reference], observations.xy[in_reference], points[seen, 2])
-    if not prior.self_calibrated:
-        against = []
-        if correlation < 0 and confidence > _CERTAIN_VOTE:
-            against.append(
-                f"the shading contradicts the sign of the tilts (confidence {confidence:.0%}): if hills come out as "
-                "pits, give the tilts with the opposite signs (--tilts)"
-            )
-        return 1.0, "none", 1.0, against
-    sign = -1.0 if correlation < 0 else 1.0
-    voted = "up"
-    if options.invert_relief:
-        sign, voted = -sign, "down (--invert-relief)"
-    warning = (
-        f"no stage tilt gives the sign of the relief: shading votes for what is bright to stand {voted}, confidence "
-        f"{confidence:.0%}; if hills come out as pits, run again with --invert-relief"
-    )
-    return sign, "reflection", confidence, [warning]
 
 
 def _told_by(series: TiltSeries) -> TiltSource:

@@ -20,7 +20,8 @@ class MotionPrior:
     """Normal priors of a motion's parameters; an infinite sigma means free.
 
     `tilt_rad`, `tilt_sigma_rad`, `scale_px_per_um` are (V,). The tilt of view `reference` is always bound, for
-    without any stage tilt a common turn about the axis is a matter of choice.
+    without any stage tilt a common turn about the axis is a matter of choice. `anisotropy_reach` is how many times
+    larger than `anisotropy_sigma`, which the estimate trusts, the covariance takes the anisotropy to be.
     """
 
     tilt_rad: FloatArray
@@ -33,6 +34,7 @@ class MotionPrior:
     scale_px_per_um: FloatArray
     max_tilt_rad: float
     reference: int
+    anisotropy_reach: float = 1.0
 
     @property
     def n_views(self) -> int:

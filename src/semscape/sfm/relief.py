@@ -14,13 +14,17 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 from scipy.stats import rankdata
 
-from semscape.types import FloatArray, Micrograph
+from semscape.errors import BadInputError
+from semscape.options import SfmOptions
+from semscape.sfm.priors import MotionPrior
+from semscape.types import Ambiguity, FloatArray, Micrograph, Observations, TiltSeries
 
 _NEIGHBOURS = 30
 _FINE_PX = 3.0
 _LEAST_COARSE_PX = 8.0
 # Shading is a rule with exceptions, however many neighbourhoods agree.
 _MOST_CONFIDENT = 0.99
+_CERTAIN_VOTE = 0.98
 
 
 def relief_vote(view: Micrograph, xy: FloatArray, height: FloatArray) -> tuple[float, float]:
@@ -71,6 +75,56 @@ def relief_vote(view: Micrograph, xy: FloatArray, height: FloatArray) -> tuple[f
     votes = dense.sum() / _NEIGHBOURS
     confidence = min(0.5 * (1 + math.erf(abs(correlation) * math.sqrt(votes) / math.sqrt(2))), _MOST_CONFIDENT)
     return correlation, confidence
+
+
+def relief_sign(
+    series: TiltSeries,
+    observations: Observations,
+    points: FloatArray,
+    prior: MotionPrior,
+    options: SfmOptions,
+) -> tuple[float, Ambiguity, float, list[str]]:
+    """Decide whether to mirror the relief: by the stage's sign, else by shading, reported as assumed.
+
+    Returns
+    -------
+    sign : float
+        -1 where the relief is to be mirrored.
+    ambiguity : "none" or "reflection"
+    confidence : float
+        That the sign is right.
+    warnings : list of str
+
+    Raises
+    ------
+    BadInputError
+        Where the relief is to be inverted although the stage fixes its sign.
+    """
+    if not prior.self_calibrated and options.invert_relief:
+        raise BadInputError(
+            "--invert-relief is for series without stage tilts; here the sign of the tilts fixes the relief. "
+            "If the relief is inverted, give the tilts with the opposite signs (--tilts)"
+        )
+    in_reference = observations.view == prior.reference
+    seen = observations.point[in_reference]
+    correlation, confidence = relief_vote(series.views[prior.reference], observations.xy[in_reference], points[seen, 2])
+    if not prior.self_calibrated:
+        against = []
+        if correlation < 0 and confidence > _CERTAIN_VOTE:
+            against.append(
+                f"the shading contradicts the sign of the tilts (confidence {confidence:.0%}): if hills come out as "
+                "pits, give the tilts with the opposite signs (--tilts)"
+            )
+        return 1.0, "none", 1.0, against
+    sign = -1.0 if correlation < 0 else 1.0
+    voted = "up"
+    if options.invert_relief:
+        sign, voted = -sign, "down (--invert-relief)"
+    warning = (
+        f"no stage tilt gives the sign of the relief: shading votes for what is bright to stand {voted}, confidence "
+        f"{confidence:.0%}; if hills come out as pits, run again with --invert-relief"
+    )
+    return sign, "reflection", confidence, [warning]
 
 
 def _centred_ranks(values: FloatArray) -> FloatArray:

@@ -1,0 +1,145 @@
+"""The motion of a full-object acquisition: stage tilt combined with stage rotation, 10 to 40 views all around.
+
+Here no axis is shared by all views in the world, and every rotation is free about what the stage says. The tilt and
+the rotation of every view must be told: nothing is searched but the direction of the stage's tilt axis in the
+images and the sense in which its rotation is read. This is the motion alone; the dense stage is for single-axis series.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from semscape.errors import BadInputError
+from semscape.geometry.rotations import roll_rotation, tilted_cam_from_world
+from semscape.options import SfmOptions
+from semscape.sfm.adjust import Adjustment, refine
+from semscape.sfm.eliminated import eliminated_cost, pattern_scatters
+from semscape.sfm.models import camera_jacobians as tilted_jacobians
+from semscape.sfm.models import cross_matrix, inverted
+from semscape.types import FloatArray, Observations, TiltSeries
+
+PARAMETERS_PER_VIEW = 7  # tilt, roll, relative scale, anisotropy, stage rotation, x and y translation
+_ROTATION_SIGMA_RAD = np.deg2rad(0.5)
+_AXIS_STEPS = 180
+_MOST_PATTERNS = 200
+
+
+class FullObjectModel:
+    """The stage's axis, then per view tilt, roll, relative scale, anisotropy, stage rotation and translation.
+
+    A view has R = Rz(roll) R_0 Rot(axis, tilt) Rz(stage rotation): the specimen is first rotated about its normal,
+    counter-clockwise seen from the electron source, then tilted.
+    """
+
+    def __init__(self, tilt_rad: FloatArray, rotation_rad: FloatArray, scale: FloatArray, options: SfmOptions) -> None:
+        views = len(tilt_rad)
+        self._scale = scale
+        per_view = np.arange(views)[:, None] * PARAMETERS_PER_VIEW + 1 + np.arange(PARAMETERS_PER_VIEW)
+        self.index = np.column_stack([np.zeros(views, dtype=np.int64), per_view])
+        self.prior_index = per_view[:, :5].ravel()
+        zeros = np.zeros(views)
+        self.prior_centre = np.column_stack([tilt_rad, zeros, zeros, zeros, rotation_rad]).ravel()
+        sigma = [
+            np.deg2rad(options.prior_tilt_deg),
+            np.deg2rad(options.prior_roll_deg),
+            options.prior_scale,
+            options.prior_anisotropy,
+            _ROTATION_SIGMA_RAD,
+        ]
+        self.prior_weight = np.tile(1 / np.array(sigma), views)
+
+    def cameras(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return matrices (V, 2, 3), derivatives by axis, tilt, roll, scale, anisotropy, rotation, and translations."""
+        per_view = parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
+        single_axis = np.concatenate([parameters[:1], per_view[:, [0, 1, 2, 3, 5, 6]].ravel()])
+        matrices, derivatives, translations = tilted_jacobians(single_axis, self._scale)
+        rotated = roll_rotation(per_view[:, 4])
+        about_z = cross_matrix(np.array([0.0, 0.0, 1.0]))
+        by_rotation = (matrices @ about_z @ rotated)[:, None]
+        every = np.concatenate([derivatives @ rotated[:, None], by_rotation], axis=1)
+        return matrices @ rotated, every, translations
+
+    def covariance(self, hessian: FloatArray) -> FloatArray:
+        """Return the inverse of the normal matrix."""
+        return inverted(hessian)
+
+
+@dataclass(frozen=True)
+class FullObjectMotion:
+    """The rotations (V, 3, 3) from world to camera, with the adjustment that gave them.
+
+    The parameters of `adjustment` are those of `FullObjectModel`.
+    """
+
+    cam_from_world: FloatArray
+    axis_angle_rad: float
+    tilt_rad: FloatArray
+    rotation_rad: FloatArray
+    scale_px_per_um: FloatArray
+    adjustment: Adjustment
+
+
+def calibrate_full_object(series: TiltSeries, observations: Observations, options: SfmOptions) -> FullObjectMotion:
+    """Calibrate views that the stage has tilted and rotated.
+
+    Parameters
+    ----------
+    series : TiltSeries
+        With the stage's tilt and rotation of every view.
+    observations : Observations
+        Tracks; no view needs to share points with all others.
+    options : SfmOptions
+        Priors.
+
+    Raises
+    ------
+    BadInputError
+        Where a tilt or a rotation is not known.
+    DegenerateGeometryError
+        Where the tracks do not determine the motion.
+    """
+    tilt = series.tilt_rad
+    rotation = np.array([view.metadata.stage_rotation_rad for view in series.views])
+    for name, one_tilt, one_rotation in zip(series.names, tilt, rotation, strict=True):
+        if not np.isfinite([one_tilt, one_rotation]).all():
+            raise BadInputError(f"{name}: a series with stage rotation needs the tilt and the rotation of every view")
+    scale = 1.0 / series.pixel_size_um
+    axis, sense = _axis_and_sense(tilt, rotation, scale, observations)
+    model = FullObjectModel(tilt, sense * rotation, scale, options)
+    start = np.zeros(1 + PARAMETERS_PER_VIEW * series.n_views)
+    start[0] = axis
+    start[model.prior_index] = model.prior_centre
+    for offset in (0, 1):
+        total = np.bincount(observations.view, observations.xy[:, offset], minlength=series.n_views)
+        start[model.index[:, -2 + offset]] = total / np.maximum(np.bincount(observations.view), 1)
+    found = refine(start, observations, model, max_iterations=options.max_iterations)
+    per_view = found.parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
+    rotations = tilted_cam_from_world(found.parameters[0], per_view[:, 0], per_view[:, 1]) @ roll_rotation(
+        per_view[:, 4]
+    )
+    return FullObjectMotion(
+        rotations,
+        float(found.parameters[0]),
+        per_view[:, 0].copy(),
+        per_view[:, 4].copy(),
+        scale * (1 + per_view[:, 2]),
+        found,
+    )
+
+
+def _axis_and_sense(
+    tilt: FloatArray, rotation: FloatArray, scale: FloatArray, observations: Observations
+) -> tuple[float, float]:
+    """Return the direction of the tilt axis and the sense of the rotation under which the tracks agree best."""
+    patterns = pattern_scatters(observations, len(tilt), np.ones(observations.n_points)).strongest(_MOST_PATTERNS)
+    axes = np.arange(_AXIS_STEPS) * 2 * np.pi / _AXIS_STEPS
+    senses = (1.0, -1.0)
+    turned = tilted_cam_from_world(axes[:, None], tilt, np.zeros(len(tilt)))
+    matrices = np.stack(
+        [(turned @ roll_rotation(sense * rotation))[..., :2, :] * scale[:, None, None] for sense in senses]
+    )
+    cost = eliminated_cost(matrices.reshape(-1, len(tilt), 2, 3), patterns).reshape(len(senses), -1)
+    best = int(np.argmin(cost))
+    return float(axes[best % _AXIS_STEPS]), senses[best // _AXIS_STEPS]

@@ -1,0 +1,88 @@
+"""The bottom of the adjustment, its mirror image, and the valley between reliefs tilted less and more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semscape.experiments.simulated_tracks import SimulatedTracks, TrackRecipe, simulate_tracks
+from semscape.options import SfmOptions
+from semscape.sfm.adjust import adjust, with_translations
+from semscape.sfm.calibrate import Calibration, calibrate
+from semscape.sfm.priors import motion_prior
+
+TILTS = (-6.0, -3.0, 0.0, 3.0, 6.0)
+
+
+def solved(recipe: TrackRecipe, seed: int = 0) -> tuple[SimulatedTracks, Calibration]:
+    tracks = simulate_tracks(recipe, rng=np.random.default_rng(seed))
+    return tracks, calibrate(tracks.series, tracks.observations, SfmOptions(), rng=np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def alone() -> tuple[SimulatedTracks, Calibration]:
+    return solved(TrackRecipe(TILTS, n_points=500))
+
+
+@pytest.fixture(scope="module")
+def staged() -> tuple[SimulatedTracks, Calibration]:
+    return solved(TrackRecipe(TILTS, 0.1, n_points=500))
+
+
+def test_only_the_stage_tells_the_mirror_image(
+    alone: tuple[SimulatedTracks, Calibration], staged: tuple[SimulatedTracks, Calibration]
+) -> None:
+    assert abs(alone[1].reconstruction.mirror_margin) < 0.01
+    # Tilts of 6, 3, 3, 6 deg the wrong way, against readings of 0.1 deg: of the order of 4 * 90 / 0.01
+    assert 5e3 < staged[1].reconstruction.mirror_margin < 1e5
+
+
+def test_the_stage_narrows_the_valley(
+    alone: tuple[SimulatedTracks, Calibration], staged: tuple[SimulatedTracks, Calibration]
+) -> None:
+    images, both = alone[1].reconstruction, staged[1].reconstruction
+    assert images.height_scale_relative_sigma == pytest.approx(images.height_scale_relative_sigma_of_images, rel=1e-6)
+    assert both.height_scale_relative_sigma < 0.3 * both.height_scale_relative_sigma_of_images
+    two = solved(TrackRecipe((-3.0, 3.0), 0.1, n_points=500))[1].reconstruction
+    assert two.height_scale_relative_sigma_of_images == np.inf
+    assert two.height_scale_relative_sigma == pytest.approx(0.1 * np.sqrt(2) / 6, rel=0.1)
+
+
+@pytest.mark.parametrize("stage_sigma_deg", [None, 0.1])
+def test_a_restart_from_the_answer_stays_there(stage_sigma_deg: float | None) -> None:
+    tracks = simulate_tracks(TrackRecipe(TILTS, stage_sigma_deg, n_points=500), rng=np.random.default_rng(3))
+    prior = motion_prior(tracks.series, SfmOptions())
+    searched = prior.centre_and_sigma()[0]
+    searched[0] = np.pi / 2
+    searched[1::4] = np.deg2rad(TILTS) * 1.1  # up the valley
+    ends = [with_translations(searched, tracks.observations, len(TILTS))]
+    for rounds in (50, 1000):
+        ends.append(adjust(ends[-1], tracks.observations, prior, max_iterations=rounds).parameters)
+    assert np.rad2deg(np.abs(ends[2][1::6] - ends[1][1::6])).max() < 0.001
+    assert np.rad2deg(np.abs(ends[1][1::6] - ends[0][1::6])).max() > 0.1
+
+
+def test_the_priors_stand_beside_the_posterior(staged: tuple[SimulatedTracks, Calibration]) -> None:
+    found = staged[1].reconstruction
+    np.testing.assert_allclose(found.prior_mean[1::4], found.tilt_prior_rad)
+    np.testing.assert_allclose(np.rad2deg(found.prior_sigma[1::4]), 0.1)
+    assert (found.tilt_sigma_rad < found.prior_sigma[1::4]).all()
+
+
+def test_the_anisotropy_is_learnt() -> None:
+    """Seven views tell a steady scan from a stretching one; what is told counts as four views more."""
+    tilts = (-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0)
+    told = SfmOptions().prior_anisotropy
+    learnt = [
+        float(solved(TrackRecipe(tilts, 0.1, n_points=500, anisotropy_sigma=true), 2)[1].reconstruction.prior_sigma[4])
+        for true in (0.0, 3 * told)
+    ]
+    assert 0.5 * told < learnt[0] < 0.9 * told
+    assert 1.3 * told < learnt[1] < 4 * told
+
+
+def test_the_noise_free_anisotropy_prior_is_the_option() -> None:
+    tracks = simulate_tracks(TrackRecipe(TILTS, n_points=100), rng=np.random.default_rng(0))
+    assert motion_prior(tracks.series, replace(SfmOptions(), prior_anisotropy=0.004)).anisotropy_sigma == 0.004

@@ -1,0 +1,88 @@
+"""Views all around a dome: stage tilt combined with stage rotation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semscape.errors import BadInputError
+from semscape.geometry.rotations import roll_rotation, tilted_cam_from_world
+from semscape.options import SfmOptions
+from semscape.sfm.full_object import FullObjectModel, FullObjectMotion, calibrate_full_object
+from semscape.types import Micrograph, Observations, SemMetadata, TiltSeries
+
+VIEWS, SCALE = 12, 10.0
+TILT = np.deg2rad(np.where(np.arange(VIEWS) % 2, 40.0, 30.0))
+ROTATION = 2 * np.pi * np.arange(VIEWS) / VIEWS
+AXIS = np.deg2rad(88.0)
+RNG = np.random.default_rng(0)
+TRUE = tilted_cam_from_world(AXIS, TILT, np.deg2rad(RNG.normal(0, 0.2, VIEWS))) @ roll_rotation(ROTATION)
+
+
+def dome(sense: float = 1.0, rotation_error_deg: float = 0.3) -> tuple[TiltSeries, Observations]:
+    rng = np.random.default_rng(1)
+    normals = rng.normal(size=(400, 3))
+    normals[:, 2] = np.abs(normals[:, 2])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    points = normals * rng.uniform(18, 22, (400, 1))
+    facing = -np.einsum("vij,pj->vpi", TRUE, normals)[..., 2] > 0.35
+    facing &= facing.sum(axis=0) >= 2
+    point, view = np.nonzero(facing.T)
+    _, point = np.unique(point, return_inverse=True)
+    seen = points[facing.any(axis=0)]
+    xy = SCALE * np.einsum("kij,kj->ki", TRUE[view][:, :2], seen[point]) + 400 + rng.normal(0, 0.3, (len(point), 2))
+    told_tilt = TILT + np.deg2rad(rng.normal(0, 0.1, VIEWS))
+    told_rotation = ROTATION + np.deg2rad(rng.normal(0, rotation_error_deg, VIEWS))
+    blank = Micrograph("", np.zeros((800, 800), np.float32), np.ones((800, 800), bool))
+    views = tuple(
+        replace(
+            blank,
+            name=f"{index}.tif",
+            metadata=SemMetadata(pixel_size_um=1 / SCALE, tilt_rad=float(t), stage_rotation_rad=float(sense * r)),
+        )
+        for index, (t, r) in enumerate(zip(told_tilt, told_rotation, strict=True))
+    )
+    return TiltSeries(views), Observations(view.astype(np.int64), point.astype(np.int64), xy)
+
+
+def relative_errors_deg(found: FullObjectMotion) -> np.ndarray:
+    """Return the geodesic errors of the rotations after the best common one, which no image tells."""
+    u, _, vt = np.linalg.svd(np.einsum("vij,vik->jk", found.cam_from_world, TRUE))
+    common = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    change = found.cam_from_world @ common @ np.swapaxes(TRUE, 1, 2)
+    return np.rad2deg(np.arccos(np.clip((np.trace(change, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_rotations_all_around(sense: float) -> None:
+    series, observations = dome(sense)
+    found = calibrate_full_object(series, observations, SfmOptions())
+    error = relative_errors_deg(found)
+    assert 0.001 < np.sqrt(np.mean(error**2)) < 0.1  # the stage's rotation errs by 0.3
+    assert np.cos(2 * (found.axis_angle_rad - AXIS)) > 0.99
+    assert found.adjustment.sigma_px == pytest.approx(0.3, rel=0.1)
+
+
+def test_derivatives_equal_finite_differences() -> None:
+    rng = np.random.default_rng(2)
+    model = FullObjectModel(TILT[:3], ROTATION[:3], np.full(3, SCALE), SfmOptions())
+    parameters = rng.normal(0, 0.3, 1 + 7 * 3)
+    _, derivatives, _ = model.cameras(parameters)
+    step = 1e-6
+    for view in range(3):
+        for which, index in enumerate(model.index[view, :-2]):
+            up, down = parameters.copy(), parameters.copy()
+            up[index] += step
+            down[index] -= step
+            numeric = (model.cameras(up)[0][view] - model.cameras(down)[0][view]) / (2 * step)
+            np.testing.assert_allclose(derivatives[view, which], numeric, atol=1e-7)
+
+
+def test_a_view_without_rotation_is_named() -> None:
+    series, observations = dome()
+    views = list(series.views)
+    views[3] = replace(views[3], metadata=replace(views[3].metadata, stage_rotation_rad=np.nan))
+    with pytest.raises(BadInputError, match=r"3\.tif: .* the rotation of every view"):
+        calibrate_full_object(replace(series, views=tuple(views)), observations, SfmOptions())
