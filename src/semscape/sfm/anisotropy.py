@@ -26,7 +26,8 @@ def adjust_learning_anisotropy(
     series adds is found by expectation-maximization. Where the images do not tell it, it stays what it was.
 
     The interval is to hold for a scan that stretches so, but most stretch less, and an estimate that allows for more
-    than there is follows the noise: so the estimate takes half of it, and the covariance all of it.
+    than there is follows the noise: so from images alone the estimate takes half of it, and the covariance all of
+    it. A stage that tells the tilts outweighs such an estimate, and must not be pulled by a trust that may be wrong.
 
     Parameters
     ----------
@@ -39,7 +40,7 @@ def adjust_learning_anisotropy(
     Returns
     -------
     prior : MotionPrior
-        With half the learnt sigma, and a reach of 2.
+        With the learnt sigma; where no stage tells the tilts with half of it, and a reach of 2.
     adjustment : Adjustment
 
     References
@@ -59,6 +60,8 @@ def adjust_learning_anisotropy(
         if abs(sigma / prior.anisotropy_sigma - 1) < _LEARNT:
             break
         prior = replace(prior, anisotropy_sigma=sigma)
+    if not prior.self_calibrated:
+        return prior, found
     prior = replace(prior, anisotropy_sigma=prior.anisotropy_sigma / _REACH, anisotropy_reach=_REACH)
     found = adjust(found.parameters, observations, prior, max_iterations=max_iterations, overdispersion=overdispersion)
     return prior, found
