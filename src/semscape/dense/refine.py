@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from semscape.dense.consistency import compare_views
 from semscape.dense.sampling import ViewSampler, common_parallax, gaussian_window
 from semscape.dense.smooth import local_plane_heights
 from semscape.dense.stereo import filled_from_nearest, without_speckles
@@ -32,8 +33,6 @@ _MEDIAN_PX = 5
 # Patches smaller than this, and than this share of the field, that stand alone are chance agreements of noise.
 _ISLAND_AREA_PX = 200
 _ISLAND_SHARE = 3e-4
-_LEAST_CORRELATION = 0.3
-_FULL_CORRELATION = 0.7
 # Blur of the images, for the narrowest window; it grows with the window, for white noise falls with it.
 _PRESMOOTH_PX = 0.5
 # Gain and offset are taken out over this neighbourhood: shading that changes with tilt is smooth beside texture.
@@ -146,49 +145,28 @@ def _compare(
 ) -> _Comparison:
     """Linearize the disagreement of the views about the current heights."""
     count = len(samplers)
-    values = np.empty((count, *height.shape), np.float32)
-    slopes = np.empty_like(values)
-    weights = np.empty_like(values)
+    seen = compare_views(height, known, samplers, parallax, normalizing_px)
     surface = known.astype(np.float32)
-    for i, sampler in enumerate(samplers):
-        value, slope, inside = sampler.sample(height)
-        weight = inside * surface
-        coverage = np.maximum(gaussian_window(weight, normalizing_px), 1e-3)
-        mean = gaussian_window(value * weight, normalizing_px) / coverage
-        centred = (value - mean) * weight
-        deviation = np.sqrt(np.maximum(gaussian_window(centred * centred, normalizing_px) / coverage, 1e-6))
-        values[i], slopes[i], weights[i] = centred / deviation, slope * weight / deviation, weight
-    _weigh_by_agreement(values, weights, surface, normalizing_px)
-
-    total = np.maximum(weights.sum(axis=0), 1e-3)
-    template = (values * weights).sum(axis=0) / total
-    slope = (slopes * weights).sum(axis=0) / total
-    g = parallax[:, None, None].astype(np.float32)
-    lever = g - (g * weights).sum(axis=0) / total
-    leverage = (weights * lever * lever).sum(axis=0)
+    total, slope, leverage, weights = seen.total, seen.slope, seen.leverage, seen.weights
     force = np.zeros(height.shape, np.float32)
     spread = np.zeros(height.shape, np.float32)
     misfit = np.zeros(height.shape, np.float32)
-    own_power = np.zeros(height.shape, np.float32)
     for i in range(count):
-        residual = values[i] - template
-        pull = weights[i] * lever[i] * slope * residual
+        residual = seen.values[i] - seen.template
+        pull = seen.pull(i)
         force += pull
         spread += gaussian_window(pull, sigma_px) ** 2
         misfit += weights[i] * residual * residual
-        own_power += weights[i] * weights[i] * slopes[i] * slopes[i]
-    stiffness = slope * slope * leverage
+    stiffness = (slope * slope * leverage).astype(np.float32)
     base = _base(height, surface, sigma_px)
     offset = np.where(known, height - base, 0.0).astype(np.float32)
     fitted = base + local_plane_heights(stiffness, stiffness * offset - force, sigma_px)
 
-    # The noise of one view is not in another: products of slopes of different views hold the texture alone, where
-    # the plain square of the mean slope takes noise for texture.
-    crossed = np.maximum(total * total - (weights * weights).sum(axis=0), 0.1)
     plain = gaussian_window(stiffness, sigma_px)
-    texture = gaussian_window((slope * slope * total * total - own_power) / crossed * leverage, sigma_px)
+    texture = gaussian_window(seen.texture(), sigma_px)
     texture = np.maximum(np.maximum(texture, 0.2 * plain), 1e-9).astype(np.float64)
-    noise = gaussian_window(misfit / np.maximum(total - 1, 0.25), sigma_px).astype(np.float64)
+    per_view = (misfit / np.maximum(total - 1, 0.25)).astype(np.float32)
+    noise = gaussian_window(per_view, sigma_px).astype(np.float64)
     variance = noise / (texture * 4 * np.pi * sigma_px**2)
     if count > 2:
         # What the views' separate pulls scatter, correlations between neighbouring pixels included.
@@ -204,18 +182,3 @@ def _base(height: FloatArray, surface: ImageArray, sigma_px: float) -> FloatArra
     smooth = cv2.GaussianBlur(np.where(surface > 0, height, 0.0), (0, 0), 2 * sigma_px)
     coverage = cv2.GaussianBlur(surface, (0, 0), 2 * sigma_px).astype(np.float64)
     return np.where(coverage > 1e-3, smooth / np.maximum(coverage, 1e-3), height)
-
-
-def _weigh_by_agreement(
-    values: NDArray[np.float32], weights: NDArray[np.float32], surface: ImageArray, sigma_px: float
-) -> None:
-    """Lower in place the weight of a view where it does not correlate with the others: occluded, charged, moved."""
-    total = np.maximum(weights.sum(axis=0), 1e-3)
-    sum_of_all = (values * weights).sum(axis=0)
-    start = weights.copy()
-    for i in range(len(values)):
-        others = (sum_of_all - values[i] * start[i]) / np.maximum(total - start[i], 1e-3)
-        power = np.maximum(gaussian_window(others * others * surface, sigma_px), 1e-6)
-        own = np.maximum(gaussian_window(values[i] * values[i] * surface, sigma_px), 1e-6)
-        correlation = gaussian_window(values[i] * others * surface, sigma_px) / np.sqrt(power * own)
-        weights[i] *= np.clip((correlation - _LEAST_CORRELATION) / (_FULL_CORRELATION - _LEAST_CORRELATION), 0, 1)

@@ -10,6 +10,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from semscape.dense.evidence import refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
 from semscape.dense.rectify import Frame, grid_pixel_size_um, rectified_frame, warp_to_frame
 from semscape.dense.refine import RefinedHeights, refine_heights, without_islands
@@ -29,6 +30,7 @@ _RANGE_MARGIN = 0.15
 _JUMP_PX = 1.0
 _SWEEP_PRESMOOTH_PX = 0.5
 _SWEEP_NOISE_PX = 0.6
+_EVIDENCE_PRESMOOTH_PX = 0.7
 
 
 @dataclass(frozen=True)
@@ -128,11 +130,16 @@ def _refined_map(
     px_per_height = matrices[:, :, 2] * pixel_size
     smooth = refine_heights(start_px, series.views, view_from_grid, px_per_height, options)
     direction, parallax = common_parallax(px_per_height)
-    samplers = tuple(
-        ViewSampler(view, view_from_grid[i], px_per_height[i], direction, series.shape, _SWEEP_PRESMOOTH_PX)
-        for i, view in enumerate(series.views)
-    )
-    refined = with_sharp_jumps(start_px, smooth, Views(samplers, parallax, reconstruction.reference))
+
+    def views(presmooth_px: float) -> Views:
+        samplers = tuple(
+            ViewSampler(view, view_from_grid[i], px_per_height[i], direction, series.shape, presmooth_px)
+            for i, view in enumerate(series.views)
+        )
+        return Views(samplers, parallax, reconstruction.reference)
+
+    sharp = with_sharp_jumps(start_px, smooth, views(_SWEEP_PRESMOOTH_PX))
+    refined = refine_by_evidence(sharp, views(_EVIDENCE_PRESMOOTH_PX))
     return HeightMap(
         height_um=refined.height * pixel_size,
         uncertainty_um=refined.uncertainty * pixel_size,

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from semscape.dense.consistency import compare_views
 from semscape.dense.sampling import ViewSampler, gaussian_window
 from semscape.dense.semi_global import least_cost
-from semscape.dense.stereo import filled_from_nearest
+from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.types import BoolArray, FloatArray, ImageArray
 
 _STEP_PX = 0.5
@@ -37,10 +38,11 @@ _PENALTY_SMALL = 12.0
 _PENALTY_LARGE = 120.0
 _LEAST_GAIN = 0.15
 _LEAST_CHANGE_PX = 0.5
-# Where nothing was known before, no more difference than noise makes is asked for; a view that differs by more than
-# half as much again does not count as agreeing.
+# Where nothing was known before, no more difference than noise makes is asked for.
 _AGREED = 1.0
-_VIEW_AGREES = 1.5
+_AGREEMENT_PX = 2.5
+# Smaller patches that stand alone in a sweep are chance agreements of noise.
+_SPECKLE_AREA_PX = 60
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,8 @@ def _sweep(
     here = np.asarray((first + _LABELS // 2) * step, np.float64)
     guide = views.samplers[views.reference].look(here)[0] / np.float32(brightness.noise)
     valid = np.ones(first.shape, bool)
-    return least_cost(cost, first, valid, slopes, guide, _PENALTY_SMALL, _PENALTY_LARGE) * step
+    label = least_cost(cost, first, valid, slopes, guide, _PENALTY_SMALL, _PENALTY_LARGE)
+    return without_speckles(label * _STEP_PX, _SPECKLE_AREA_PX) / _STEP_PX * step
 
 
 def _brightness(height: FloatArray, views: Views, window_px: float | None) -> _Brightness:
@@ -196,10 +199,12 @@ def _better(refined: FloatArray, swept: FloatArray, views: Views) -> Sharpened:
         moved = np.abs(refined - swept) * views.baseline > _LEAST_CHANGE_PX
     replaced = known & found & moved & (misfits[1] < misfits[0] - _LEAST_GAIN * noise)
     replaced |= ~known & found & (misfits[1] < _AGREED * noise)
-    agreeing = 1 + (ranked * noises[1] < _VIEW_AGREES * noise).sum(axis=0)
-    lonely = replaced & (agreeing < 2)
-    height = np.where(lonely, np.nan, np.where(replaced, swept, refined))
-    return Sharpened(height, replaced, np.where(replaced, agreeing, 0).astype(np.uint8))
+    sharp = np.where(replaced, swept, refined)
+    # Where nothing has texture the views differ by noise alone whatever the height: they must correlate, too.
+    seen = compare_views(filled_from_nearest(sharp), np.isfinite(sharp), views.samplers, views.parallax, _AGREEMENT_PX)
+    n_views = (seen.weights > 0.5).sum(axis=0).astype(np.uint8)
+    replaced &= n_views >= 2
+    return Sharpened(np.where(replaced, swept, refined), replaced, np.where(replaced, n_views, 0).astype(np.uint8))
 
 
 def _median(height: FloatArray) -> FloatArray:
