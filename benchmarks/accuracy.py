@@ -9,7 +9,7 @@ whose grid the height map shares:
 - potamogeton1: a disc drawn by hand on the image, centre (412, 357) px, radius 300 px: the grain lies on a support
   that is as bright as itself. The disc leaves out the outermost rim, which curves away from the beam.
 
-Simulated series are compared with their exact truth (see height_error.py), ours beside OpenCV's StereoSGBM.
+Simulated series are compared with their exact truth (see height_error.py), beside OpenCV's StereoSGBM and DIS flow.
 """
 
 from __future__ import annotations
@@ -76,13 +76,14 @@ def measure_simulated(specimen: str, seed: int) -> dict[str, Any]:
 
     import semscape
     from height_error import height_figures, tilt_figures
-    from rival_sgbm import sgbm_height_map
+    from rival_sgbm import dis_height_map, sgbm_height_map
     from semscape.simulate import PRESETS, simulate
 
     series, truth = simulate(specimen, PRESETS["nominal"], rng=seed)
     result, seconds = timed(semscape.reconstruct, series, rng=0)
     peak = peak_memory_mb()
     rival, rival_seconds = timed(sgbm_height_map, result)
+    flow, flow_seconds = timed(dis_height_map, result)
     reconstruction = result.reconstruction
     relief_px = float(np.nanmax(truth.height_um) - np.nanmin(truth.height_um)) / truth.pixel_size_um
     return {
@@ -96,6 +97,7 @@ def measure_simulated(specimen: str, seed: int) -> dict[str, Any]:
         "semscape": height_figures(result.height_map, reconstruction, truth)
         | {"surface_seconds": round(_stage_seconds(result, "surface"), 2)},
         "opencv_sgbm": height_figures(rival, reconstruction, truth) | {"surface_seconds": round(rival_seconds, 2)},
+        "opencv_dis": height_figures(flow, reconstruction, truth) | {"surface_seconds": round(flow_seconds, 2)},
         "seconds": round(seconds, 2),
         "peak_memory_mb": round(peak, 1),
     }

@@ -33,6 +33,7 @@ _NOISE_PX = 6.0
 # Windows in which the scatter of the views' pulls is compared with that of independent pixels.
 _WIDTHS_PX = (1.5, 3.0, 6.0, 12.0)
 _JUMP_PX = 1.0
+_SPIKE_PX = 5
 _MAX_STEP_PX = 0.5
 _START_TAU = 0.5
 # Beside a jump: how far, the noise of the sweep's disparity, and over how many pixels it errs alike.
@@ -60,9 +61,10 @@ def refine_by_evidence(start: RefinedHeights, views: Views) -> RefinedHeights:
     if not known.any():
         return start
     base = views.baseline
-    first = filled_from_nearest(start.height)
-    cut = smoothness_cut(start.height, _JUMP_PX / base)
-    beside = _beside_jumps(start.height, _JUMP_PX / base)
+    first = _without_spikes(filled_from_nearest(start.height), _JUMP_PX / base)
+    given = np.where(known, first, np.nan)
+    cut = smoothness_cut(given, _JUMP_PX / base)
+    beside = _beside_jumps(given, _JUMP_PX / base)
     held = (base / _SWEEP_NOISE_PX) ** 2 / _SWEEP_CORRELATED
     table = LatticeTable()
     prior = Smoothness(np.full(first.shape, _START_TAU**2), np.ones(first.shape))
@@ -108,6 +110,12 @@ def _noise(seen: ComparedViews, known: BoolArray) -> tuple[FloatArray, list[floa
         inflation.append(max(float(np.median(scatter / np.maximum(alone, 1e-12))), 1.0))
     slow = scatter / np.maximum(gaussian_window(stiffness, _WIDTHS_PX[-1])[known], 1e-9) ** 2
     return noise.astype(np.float64), inflation, float(np.median(slow))
+
+
+def _without_spikes(height: FloatArray, limit: float) -> FloatArray:
+    """Replace what stands out of its 5 x 5 px by more than `limit`: narrower than the beam and so no shape."""
+    median = np.asarray(cv2.medianBlur(height.astype(np.float32), _SPIKE_PX), np.float64)
+    return np.where(np.abs(height - median) > limit, median, height)
 
 
 def _beside_jumps(height: FloatArray, limit: float) -> BoolArray:
