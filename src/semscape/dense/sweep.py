@@ -36,7 +36,8 @@ _COST_UNIT = 20.0
 _ONE_SIDED = 0.4
 _PENALTY_SMALL = 12.0
 _PENALTY_LARGE = 120.0
-_LEAST_GAIN = 0.15
+# Of one view; of n views' mean a difference by chance is sqrt(n) smaller.
+_LEAST_GAIN = 0.21
 _LEAST_CHANGE_PX = 0.5
 # Where nothing was known before, no more difference than noise makes is asked for.
 _AGREED = 1.0
@@ -194,10 +195,11 @@ def _better(refined: FloatArray, swept: FloatArray, views: Views) -> Sharpened:
         misfits.append(ranked[: (len(ranked) + 1) // 2].mean(axis=0) * brightness.noise)
         noises.append(brightness.noise)
     noise = min(noises)
+    least_gain = _LEAST_GAIN / np.sqrt((len(views.others) + 1) // 2)
     known, found = np.isfinite(refined), np.isfinite(swept)
     with np.errstate(invalid="ignore"):
         moved = np.abs(refined - swept) * views.baseline > _LEAST_CHANGE_PX
-    replaced = known & found & moved & (misfits[1] < misfits[0] - _LEAST_GAIN * noise)
+    replaced = known & found & moved & (misfits[1] < misfits[0] - least_gain * noise)
     replaced |= ~known & found & (misfits[1] < _AGREED * noise)
     sharp = np.where(replaced, swept, refined)
     # Where nothing has texture the views differ by noise alone whatever the height: they must correlate, too.
