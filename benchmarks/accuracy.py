@@ -9,7 +9,7 @@ whose grid the height map shares:
 - potamogeton1: a disc drawn by hand on the image, centre (412, 357) px, radius 300 px: the grain lies on a support
   that is as bright as itself. The disc leaves out the outermost rim, which curves away from the beam.
 
-Simulated series are compared with their exact truth (see semscape.evaluate), ours beside OpenCV's StereoSGBM.
+Simulated series are compared with their exact truth (see semscape.evaluate), beside OpenCV's StereoSGBM and DIS flow.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def measure_real(name: str) -> dict[str, Any]:
 def measure_simulated(specimen: str, seed: int) -> dict[str, Any]:
     """Simulate a series at nominal settings, reconstruct it and compare it with its truth."""
     import semscape
-    from semscape.dense.rival import sgbm_height_map
+    from semscape.dense.rival import dis_height_map, sgbm_height_map
     from semscape.evaluate.height_errors import height_error, height_figures, true_units
     from semscape.evaluate.motion_errors import tilt_figures
     from semscape.simulate import PRESETS, simulate
@@ -82,6 +82,7 @@ def measure_simulated(specimen: str, seed: int) -> dict[str, Any]:
     result, seconds = timed(semscape.reconstruct, series, rng=0)
     peak = peak_memory_mb()
     rival, rival_seconds = timed(sgbm_height_map, result)
+    flow, flow_seconds = timed(dis_height_map, result)
     reconstruction = result.reconstruction
     view = reconstruction.motion, reconstruction.reference
     units = true_units(result.height_map, truth)
@@ -99,6 +100,7 @@ def measure_simulated(specimen: str, seed: int) -> dict[str, Any]:
         "height_scale_relative_sigma": round(reconstruction.height_scale_relative_sigma, 5),
         "semscape": against_truth(result.height_map) | {"surface_seconds": round(_stage_seconds(result, "surface"), 2)},
         "opencv_sgbm": against_truth(rival) | {"surface_seconds": round(rival_seconds, 2)},
+        "opencv_dis": against_truth(flow) | {"surface_seconds": round(flow_seconds, 2)},
         "seconds": round(seconds, 2),
         "peak_memory_mb": round(peak, 1),
     }

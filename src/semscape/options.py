@@ -154,7 +154,11 @@ class SfmOptions(_Stage):
 
 @dataclass(frozen=True)
 class DenseOptions(_Stage):
-    """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits."""
+    """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits.
+
+    `sharp_jumps` sweeps all views once more where windows smear depth jumps; `evidence` ends with the most probable
+    surface. Both take several times as long.
+    """
 
     max_pairs: int = 6
     census_radius_px: int = 3
@@ -163,6 +167,8 @@ class DenseOptions(_Stage):
     left_right_limit_px: float = 1.0
     refine_sigma_px: float = 3.0
     refine_iterations: int = 3
+    sharp_jumps: bool = False
+    evidence: bool = False
     mesh_max_vertices: int = 400_000
 
     def __post_init__(self) -> None:

@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from semscape.dense.consistency import compare_views
+from semscape.dense.sampling import ViewSampler, common_parallax, gaussian_window
 from semscape.dense.smooth import local_plane_heights
 from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.options import DenseOptions
@@ -31,11 +33,8 @@ _MEDIAN_PX = 5
 # Patches smaller than this, and than this share of the field, that stand alone are chance agreements of noise.
 _ISLAND_AREA_PX = 200
 _ISLAND_SHARE = 3e-4
-_LEAST_CORRELATION = 0.3
-_FULL_CORRELATION = 0.7
 # Blur of the images, for the narrowest window; it grows with the window, for white noise falls with it.
 _PRESMOOTH_PX = 0.5
-_FULL_RESOLUTION_SIGMA_PX = 4.0
 # Gain and offset are taken out over this neighbourhood: shading that changes with tilt is smooth beside texture.
 _NORMALIZING_SIGMA_PX = 2.5
 _PAIR_INFLATION = 4.0
@@ -77,7 +76,7 @@ def refine_heights(
     """
     known = np.isfinite(height)
     start = filled_from_nearest(height)
-    direction, parallax = _parallax(px_per_height)
+    direction, parallax = common_parallax(px_per_height)
     baseline = float(np.ptp(parallax))
     limit = _MAX_STEP_PX / baseline
     chosen = np.full(height.shape, np.nan)
@@ -89,7 +88,7 @@ def refine_heights(
     for scale, sharp_px in zip(_WINDOW_SCALES, _SHARP_PX, strict=True):
         sigma_px, normalizing_px = scale * options.refine_sigma_px, scale * _NORMALIZING_SIGMA_PX
         samplers = [
-            _ViewSampler(view, view_from_grid[i], px_per_height[i], direction, height.shape, scale * _PRESMOOTH_PX)
+            ViewSampler(view, view_from_grid[i], px_per_height[i], direction, height.shape, scale * _PRESMOOTH_PX)
             for i, view in enumerate(views)
         ]
         state = _compare(start, known, samplers, parallax, sigma_px, normalizing_px)
@@ -103,7 +102,9 @@ def refine_heights(
         if narrower is not None:
             # What each wider window smooths away tells how much the chosen one does: shape finer than the window is an
             # error that no scatter of the views shows.
-            detail = _window(((current - narrower) ** 2 * known).astype(np.float32), sigma_px).astype(np.float64)
+            detail = gaussian_window(((current - narrower) ** 2 * known).astype(np.float32), sigma_px).astype(
+                np.float64
+            )
             variance += _DETAIL_SHARE * detail
         narrower = current
         chosen, variance = np.where(take, current, chosen), np.where(take, state.variance, variance)
@@ -114,12 +115,17 @@ def refine_heights(
     median = cv2.medianBlur(start.astype(np.float32), _MEDIAN_PX).astype(np.float64)
     chosen, n_views = np.where(stays, median, chosen), np.where(stays, at_start, n_views)
     variance = np.where(stays, (_START_NOISE_PX / baseline) ** 2, variance)
-    island_px = max(_ISLAND_AREA_PX, int(_ISLAND_SHARE * height.size))
-    chosen = without_speckles(chosen * baseline, island_px) / baseline
+    chosen = without_islands(chosen, baseline)
     found = np.isfinite(chosen)
     return RefinedHeights(
         chosen, np.where(found, np.sqrt(variance), np.nan), np.where(found, n_views, 0).astype(np.uint8)
     )
+
+
+def without_islands(height: FloatArray, baseline: float) -> FloatArray:
+    """Drop small patches of heights (H, W) that jumps cut off from the rest."""
+    island_px = max(_ISLAND_AREA_PX, int(_ISLAND_SHARE * height.size))
+    return without_speckles(height * baseline, island_px) / baseline
 
 
 @dataclass(frozen=True)
@@ -129,108 +135,42 @@ class _Comparison:
     n_views: FloatArray
 
 
-class _ViewSampler:
-    """Samples a view, and its slope along the parallax, at the pixels where a grid's heights project."""
-
-    def __init__(
-        self,
-        view: Micrograph,
-        view_from_grid: FloatArray,
-        px_per_height: FloatArray,
-        direction: FloatArray,
-        shape: tuple[int, int],
-        presmooth_px: float,
-    ) -> None:
-        smooth = cv2.GaussianBlur(view.image, (0, 0), presmooth_px)
-        along = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32) * np.float32(direction[0])
-        along += cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32) * np.float32(direction[1])
-        self.image, self.along = smooth, along
-        self.mask = view.mask.astype(np.float32)
-        self.x0, self.y0 = grid_in_view(view_from_grid, shape)
-        self.px_per_height = px_per_height
-
-    def sample(self, height: FloatArray) -> tuple[ImageArray, ImageArray, ImageArray]:
-        """Return grey values, their slope along the parallax per px, and validity, each (H, W) float32."""
-        h = height.astype(np.float32)
-        x = self.x0 + h * np.float32(self.px_per_height[0])
-        y = self.y0 + h * np.float32(self.px_per_height[1])
-        value = cv2.remap(self.image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        slope = cv2.remap(self.along, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        inside = cv2.remap(self.mask, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        return value, slope, (inside > 0.99).astype(np.float32)
-
-
-def grid_in_view(view_from_grid: FloatArray, shape: tuple[int, int]) -> tuple[ImageArray, ImageArray]:
-    """Return where the pixels of a grid of height zero lie in a view, x and y (H, W) px, by its (2, 3) map."""
-    rows, cols = np.indices(shape, dtype=np.float32)
-    x, y = ((row[0] * cols + row[1] * rows + row[2]).astype(np.float32) for row in view_from_grid)
-    return x, y
-
-
-def _parallax(px_per_height: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the common direction (2,) of the views' parallax and each view's amount (V,) along it."""
-    centred = px_per_height - px_per_height.mean(axis=0)
-    _, _, directions = np.linalg.svd(centred)
-    return directions[0], px_per_height @ directions[0]
-
-
 def _compare(
     height: FloatArray,
     known: BoolArray,
-    samplers: list[_ViewSampler],
+    samplers: list[ViewSampler],
     parallax: FloatArray,
     sigma_px: float,
     normalizing_px: float,
 ) -> _Comparison:
     """Linearize the disagreement of the views about the current heights."""
     count = len(samplers)
-    values = np.empty((count, *height.shape), np.float32)
-    slopes = np.empty_like(values)
-    weights = np.empty_like(values)
+    seen = compare_views(height, known, samplers, parallax, normalizing_px)
     surface = known.astype(np.float32)
-    for i, sampler in enumerate(samplers):
-        value, slope, inside = sampler.sample(height)
-        weight = inside * surface
-        coverage = np.maximum(_window(weight, normalizing_px), 1e-3)
-        mean = _window(value * weight, normalizing_px) / coverage
-        centred = (value - mean) * weight
-        deviation = np.sqrt(np.maximum(_window(centred * centred, normalizing_px) / coverage, 1e-6))
-        values[i], slopes[i], weights[i] = centred / deviation, slope * weight / deviation, weight
-    _weigh_by_agreement(values, weights, surface, normalizing_px)
-
-    total = np.maximum(weights.sum(axis=0), 1e-3)
-    template = (values * weights).sum(axis=0) / total
-    slope = (slopes * weights).sum(axis=0) / total
-    g = parallax[:, None, None].astype(np.float32)
-    lever = g - (g * weights).sum(axis=0) / total
-    leverage = (weights * lever * lever).sum(axis=0)
+    total, slope, leverage, weights = seen.total, seen.slope, seen.leverage, seen.weights
     force = np.zeros(height.shape, np.float32)
     spread = np.zeros(height.shape, np.float32)
     misfit = np.zeros(height.shape, np.float32)
-    own_power = np.zeros(height.shape, np.float32)
     for i in range(count):
-        residual = values[i] - template
-        pull = weights[i] * lever[i] * slope * residual
+        residual = seen.values[i] - seen.template
+        pull = seen.pull(i)
         force += pull
-        spread += _window(pull, sigma_px) ** 2
+        spread += gaussian_window(pull, sigma_px) ** 2
         misfit += weights[i] * residual * residual
-        own_power += weights[i] * weights[i] * slopes[i] * slopes[i]
-    stiffness = slope * slope * leverage
+    stiffness = (slope * slope * leverage).astype(np.float32)
     base = _base(height, surface, sigma_px)
     offset = np.where(known, height - base, 0.0).astype(np.float32)
     fitted = base + local_plane_heights(stiffness, stiffness * offset - force, sigma_px)
 
-    # The noise of one view is not in another: products of slopes of different views hold the texture alone, where
-    # the plain square of the mean slope takes noise for texture.
-    crossed = np.maximum(total * total - (weights * weights).sum(axis=0), 0.1)
-    plain = _window(stiffness, sigma_px)
-    texture = _window((slope * slope * total * total - own_power) / crossed * leverage, sigma_px)
+    plain = gaussian_window(stiffness, sigma_px)
+    texture = gaussian_window(seen.texture(), sigma_px)
     texture = np.maximum(np.maximum(texture, 0.2 * plain), 1e-9).astype(np.float64)
-    noise = _window(misfit / np.maximum(total - 1, 0.25), sigma_px).astype(np.float64)
+    per_view = (misfit / np.maximum(total - 1, 0.25)).astype(np.float32)
+    noise = gaussian_window(per_view, sigma_px).astype(np.float64)
     variance = noise / (texture * 4 * np.pi * sigma_px**2)
     if count > 2:
         # What the views' separate pulls scatter, correlations between neighbouring pixels included.
-        scattered = _window(spread, 2 * sigma_px).astype(np.float64) * count / (count - 2) / texture**2
+        scattered = gaussian_window(spread, 2 * sigma_px).astype(np.float64) * count / (count - 2) / texture**2
         variance = np.maximum(variance, scattered)
     else:
         variance *= _PAIR_INFLATION
@@ -242,30 +182,3 @@ def _base(height: FloatArray, surface: ImageArray, sigma_px: float) -> FloatArra
     smooth = cv2.GaussianBlur(np.where(surface > 0, height, 0.0), (0, 0), 2 * sigma_px)
     coverage = cv2.GaussianBlur(surface, (0, 0), 2 * sigma_px).astype(np.float64)
     return np.where(coverage > 1e-3, smooth / np.maximum(coverage, 1e-3), height)
-
-
-def _weigh_by_agreement(
-    values: NDArray[np.float32], weights: NDArray[np.float32], surface: ImageArray, sigma_px: float
-) -> None:
-    """Lower in place the weight of a view where it does not correlate with the others: occluded, charged, moved."""
-    total = np.maximum(weights.sum(axis=0), 1e-3)
-    sum_of_all = (values * weights).sum(axis=0)
-    start = weights.copy()
-    for i in range(len(values)):
-        others = (sum_of_all - values[i] * start[i]) / np.maximum(total - start[i], 1e-3)
-        power = np.maximum(_window(others * others * surface, sigma_px), 1e-6)
-        own = np.maximum(_window(values[i] * values[i] * surface, sigma_px), 1e-6)
-        correlation = _window(values[i] * others * surface, sigma_px) / np.sqrt(power * own)
-        weights[i] *= np.clip((correlation - _LEAST_CORRELATION) / (_FULL_CORRELATION - _LEAST_CORRELATION), 0, 1)
-
-
-def _window(values: ImageArray, sigma_px: float) -> ImageArray:
-    blurred: ImageArray
-    if sigma_px <= _FULL_RESOLUTION_SIGMA_PX:
-        blurred = cv2.GaussianBlur(values, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
-        return blurred
-    # A wide Gaussian holds no fine detail: blur the image at half its size.
-    height, width = values.shape
-    half = cv2.resize(values, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
-    blurred = cv2.resize(_window(half, sigma_px / 2), (width, height), interpolation=cv2.INTER_LINEAR)
-    return blurred

@@ -18,6 +18,8 @@ CensusArray = NDArray[np.uint64]
 
 _UNKNOWN_COST = 24
 _FAR = np.float32(1e6)
+_STEEPEST_PRIOR = 2
+_EDGE_WEIGHT = np.float32(0.5)
 
 
 @njit(cache=True, nogil=True)
@@ -69,13 +71,52 @@ def match_rows(
     height, width = start.shape
     cost = np.empty((height, width, n_disparities), np.uint8)
     _matching_cost(census1, valid1, census2, valid2, start, cost)
-    total = np.zeros((height, width, n_disparities), np.uint16)
+    level = np.zeros((height, width), np.int32)
+    plain = np.zeros((height, width), np.float32)
+    return least_cost(cost, start, valid1, level, plain, penalty_small, penalty_large)
+
+
+def least_cost(
+    cost: NDArray[np.uint8],
+    start: NDArray[np.int32],
+    valid: BoolArray,
+    prior: NDArray[np.int32],
+    guide: ImageArray,
+    penalty_small: float,
+    penalty_large: float,
+) -> FloatArray:
+    """Choose for every pixel the label of least cost that its neighbours support.
+
+    Parameters
+    ----------
+    cost : (H, W, n) uint8 array
+        Cost of the labels start .. start + n - 1.
+    start : (H, W) int32 array
+    valid : (H, W) bool array
+        Where a label is wanted.
+    prior : (H, W) int32 array
+        Labels of a surface whose slope costs nothing (Scharstein et al. 2017); its jumps are not followed.
+    guide : (H, W) float32 array
+        Image, in units of its noise: a jump is the cheaper the more the image differs across it.
+    penalty_small, penalty_large : float
+        Costs of a change, beside that of the prior, by one label and by more.
+
+    Returns
+    -------
+    (H, W) float array
+        Label with a fraction, NaN where the best one lies at the end of its range.
+
+    References
+    ----------
+    Hirschmueller 2008, doi:10.1109/TPAMI.2007.1166; Scharstein, Taniai & Sinha 2017, doi:10.1109/3DV.2017.00011.
+    """
+    total = np.zeros(cost.shape, np.uint16)
     small, large = np.float32(penalty_small), np.float32(penalty_large)
-    _aggregate(cost, start, small, large, total, False)
-    _aggregate(cost, start, small, large, total, True)
-    disparity = np.empty((height, width))
-    _winner(total, start, valid1, disparity)
-    return disparity
+    _aggregate(cost, start, prior, guide, small, large, total, False)
+    _aggregate(cost, start, prior, guide, small, large, total, True)
+    label = np.empty(start.shape)
+    _winner(total, start, valid, label)
+    return label
 
 
 @njit(cache=True, nogil=True)
@@ -109,6 +150,8 @@ def _matching_cost(
 def _aggregate(
     cost: NDArray[np.uint8],
     start: NDArray[np.int32],
+    prior: NDArray[np.int32],
+    guide: ImageArray,
     penalty_small: np.float32,
     penalty_large: np.float32,
     total: NDArray[np.uint16],
@@ -134,9 +177,9 @@ def _aggregate(
                     cost[row, col],
                     side[(c + 1) % 2],
                     side_least,
-                    start[row, col] - start[row, previous],
+                    start[row, col] - start[row, previous] - _slope(prior[row, col] - prior[row, previous]),
                     penalty_small,
-                    penalty_large,
+                    max(penalty_small, penalty_large / _contrast(guide[row, col], guide[row, previous])),
                     side[c % 2],
                     total[row, col],
                 )
@@ -149,9 +192,11 @@ def _aggregate(
                         cost[row, col],
                         above[path, source],
                         above_least[path, source],
-                        start[row, col] - start[row - step, source],
+                        start[row, col]
+                        - start[row - step, source]
+                        - _slope(prior[row, col] - prior[row - step, source]),
                         penalty_small,
-                        penalty_large,
+                        max(penalty_small, penalty_large / _contrast(guide[row, col], guide[row - step, source])),
                         here[path, col],
                         total[row, col],
                     )
@@ -159,6 +204,17 @@ def _aggregate(
                     here_least[path, col] = _begin(cost[row, col], here[path, col], total[row, col])
         above, here = here, above
         above_least, here_least = here_least, above_least
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _slope(change: int) -> int:
+    """Return the change of the prior between neighbours, 0 where it jumps."""
+    return change if abs(change) <= _STEEPEST_PRIOR else 0
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _contrast(value1: np.float32, value2: np.float32) -> np.float32:
+    return np.float32(1) + _EDGE_WEIGHT * abs(value1 - value2)
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -10,10 +10,13 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from semscape.dense.evidence import refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
 from semscape.dense.rectify import Frame, grid_pixel_size_um, rectified_frame, warp_to_frame
-from semscape.dense.refine import grid_in_view, refine_heights
+from semscape.dense.refine import RefinedHeights, refine_heights, without_islands
+from semscape.dense.sampling import ViewSampler, common_parallax, grid_in_view
 from semscape.dense.stereo import RectifiedView, pair_heights
+from semscape.dense.sweep import Views, sharpen_jumps
 from semscape.errors import DegenerateGeometryError
 from semscape.geometry.cameras import camera_matrices
 from semscape.options import DenseOptions
@@ -25,6 +28,9 @@ _LEAST_BASELINE = 0.01
 _WIDEST_TILT_RAD = np.deg2rad(30.0)
 _RANGE_MARGIN = 0.15
 _JUMP_PX = 1.0
+_SWEEP_PRESMOOTH_PX = 0.5
+_SWEEP_NOISE_PX = 0.6
+_EVIDENCE_PRESMOOTH_PX = 0.7
 
 
 @dataclass(frozen=True)
@@ -121,7 +127,21 @@ def _refined_map(
     plane_from_grid = world_from_grid[np.ix_([0, 1], [0, 1, 3])]
     view_from_grid = matrices[:, :, :2] @ plane_from_grid
     view_from_grid[:, :, 2] += reconstruction.motion.translation_px
-    refined = refine_heights(start_px, series.views, view_from_grid, matrices[:, :, 2] * pixel_size, options)
+    px_per_height = matrices[:, :, 2] * pixel_size
+    refined = refine_heights(start_px, series.views, view_from_grid, px_per_height, options)
+    direction, parallax = common_parallax(px_per_height)
+
+    def views(presmooth_px: float) -> Views:
+        samplers = tuple(
+            ViewSampler(view, view_from_grid[i], px_per_height[i], direction, series.shape, presmooth_px)
+            for i, view in enumerate(series.views)
+        )
+        return Views(samplers, parallax, reconstruction.reference)
+
+    if options.sharp_jumps:
+        refined = with_sharp_jumps(start_px, refined, views(_SWEEP_PRESMOOTH_PX))
+    if options.evidence:
+        refined = refine_by_evidence(refined, views(_EVIDENCE_PRESMOOTH_PX))
     return HeightMap(
         height_um=refined.height * pixel_size,
         uncertainty_um=refined.uncertainty * pixel_size,
@@ -131,6 +151,16 @@ def _refined_map(
         world_from_grid=world_from_grid,
         length_unit=series.length_unit,
     )
+
+
+def with_sharp_jumps(start_px: FloatArray, smooth: RefinedHeights, views: Views) -> RefinedHeights:
+    """Replace refined heights where a sweep through all views agrees better; small patches that it adds go again."""
+    sharp = sharpen_jumps(start_px, smooth.height, views)
+    height = without_islands(sharp.height, views.baseline)
+    known = np.isfinite(height)
+    sigma = np.where(sharp.replaced, _SWEEP_NOISE_PX / views.baseline, smooth.uncertainty)
+    n_views = np.where(known, np.where(sharp.replaced, sharp.n_views, smooth.n_views), 0).astype(np.uint8)
+    return RefinedHeights(height, np.where(known, sigma, np.nan), n_views)
 
 
 def resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, shape: tuple[int, int]) -> FloatArray:

@@ -1,0 +1,209 @@
+"""The most probable surface: heights of which all views agree, smooth as far as the data say that the surface is.
+
+Every pixel's height has a stiffness k (how fast the views' disagreement grows with it, over its noise) and a pull.
+The prior is second-order smoothness: differences D h of second order are noise of variance tau^2, of its own at
+every place, and it is cut at depth jumps. The most probable heights solve (k + D' W D / tau^2) h = k h0 + pull.
+tau^2 is not chosen: it is the one that makes the data most probable (MacKay 1992), by the fixed point
+tau^2 = mean (D h)^2 / gamma, where gamma, the share of the curvature that the data determine, follows from k tau^2.
+
+References: MacKay 1992, doi:10.1162/neco.1992.4.3.415.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from semscape.dense.sampling import gaussian_window
+from semscape.types import BoolArray, FloatArray
+
+_LOCAL_PX = 8.0
+_STIFFNESS_PX = 4.0
+_STUDENT = 4.0
+# A power of the fixed point's step: it converges slowly.
+_HASTE = 2.0
+_TOLERANCE = 1e-2
+_MOST_STEPS = 60
+_LATTICE = 64
+
+
+@dataclass(frozen=True)
+class DataTerm:
+    """Precision k (H, W) of every pixel's height by itself, and k times where the data pull it from its present one."""
+
+    stiffness: FloatArray
+    pull: FloatArray
+
+
+def smoothness_cut(height: FloatArray, limit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return weights (H, W) 1 or 0 of the second differences xx, yy, xy: 0 across steps beyond `limit` or NaN."""
+    with np.errstate(invalid="ignore"):
+        along = np.abs(np.diff(height, axis=1)) <= limit
+        down = np.abs(np.diff(height, axis=0)) <= limit
+    xx, yy, xy = (np.zeros(height.shape) for _ in range(3))
+    xx[:, 1:-1] = along[:, :-1] & along[:, 1:]
+    yy[1:-1] = down[:-1] & down[1:]
+    xy[:-1, :-1] = along[:-1] & along[1:] & down[:, :-1] & down[:, 1:]
+    return xx, yy, xy
+
+
+def second_differences(height: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the second differences xx, yy (at their middle) and xy (at its upper left), (H, W), 0 at the border."""
+    xx, yy, xy = (np.zeros(height.shape) for _ in range(3))
+    xx[:, 1:-1] = height[:, :-2] - 2 * height[:, 1:-1] + height[:, 2:]
+    yy[1:-1] = height[:-2] - 2 * height[1:-1] + height[2:]
+    xy[:-1, :-1] = height[:-1, :-1] - height[:-1, 1:] - height[1:, :-1] + height[1:, 1:]
+    return xx, yy, xy
+
+
+class LatticeTable:
+    """What a prior of second differences leaves open, for a stiffness that is the same everywhere.
+
+    With x = k tau^2 and S the squared response of the second differences: `determined` is the mean of x / (x + S)
+    over all frequencies, and the variance of a height is tau^2 times `spread`, the mean of 1 / (x + S).
+
+    Examples
+    --------
+    Data that are stiff beside the prior determine everything:
+
+    >>> table = LatticeTable()
+    >>> bool(table.determined(np.array(1e7)) > 0.99)
+    True
+    >>> bool(abs(table.spread(np.array(1e7)) * 1e7 - 1) < 0.01)
+    True
+    """
+
+    def __init__(self) -> None:
+        frequency = 2 * np.pi * (np.arange(_LATTICE) + 0.5) / _LATTICE
+        response = 2 - 2 * np.cos(frequency)
+        squared = (response[:, None] + response[None, :]) ** 2
+        self._log = np.linspace(-12.0, 18.0, 121)
+        x = np.exp(self._log)[:, None, None]
+        self._log_determined = np.log((x / (x + squared)).mean(axis=(1, 2)))
+        self._log_spread = np.log((1 / (x + squared)).mean(axis=(1, 2)))
+
+    def determined(self, x: FloatArray) -> FloatArray:
+        """Return the share of the curvature that the data determine."""
+        return np.asarray(np.exp(np.interp(np.log(x), self._log, self._log_determined)), np.float64)
+
+    def spread(self, x: FloatArray) -> FloatArray:
+        """Return the variance of a height, in units of tau^2."""
+        return np.asarray(np.exp(np.interp(np.log(x), self._log, self._log_spread)), np.float64)
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """The prior's variance tau^2 (H, W) of a second difference, and the weight (H, W) of each place in it."""
+
+    variance: FloatArray
+    weight: FloatArray
+
+
+def smoothness_by_evidence(
+    height: FloatArray,
+    stiffness: FloatArray,
+    cut: tuple[FloatArray, FloatArray, FloatArray],
+    before: Smoothness,
+    table: LatticeTable,
+) -> Smoothness:
+    """Take one step of MacKay's fixed point; places of much more curvature than their neighbours weigh less."""
+    curvature = sum(w * d * d for w, d in zip((cut[0], cut[1], 2 * cut[2]), second_differences(height), strict=True))
+    counted = (cut[0] + cut[1] + 2 * cut[2]) / 4
+    determined = table.determined(np.clip(_local(stiffness, counted, _STIFFNESS_PX) * before.variance, 1e-5, 1e7))
+    left_open = (1 - determined) * before.variance
+    here = _local(np.asarray(curvature), counted, 1.0) / np.maximum(_local(counted, None, 1.0), 1e-3)
+    weight = (_STUDENT + 1) / (_STUDENT + (here + left_open) / before.variance)
+    mean = _local(weight * np.asarray(curvature), None, _LOCAL_PX) / np.maximum(_local(counted, None, _LOCAL_PX), 1e-3)
+    ratio = mean / np.maximum(determined, 0.02) / before.variance
+    variance = before.variance * np.clip(ratio, 0.5, 2.0) ** _HASTE
+    return Smoothness(np.clip(variance, 1e-6, 1e4), weight)
+
+
+def height_variance(stiffness: FloatArray, known: BoolArray, prior: Smoothness, table: LatticeTable) -> FloatArray:
+    """Return the posterior variance (H, W) of the heights under data and prior."""
+    variance = prior.variance / prior.weight
+    x = np.clip(_local(stiffness, known.astype(np.float64), _STIFFNESS_PX) * variance, 1e-5, 1e7)
+    return variance * table.spread(x)
+
+
+def averaging_width(stiffness: FloatArray, known: BoolArray, prior: Smoothness, table: LatticeTable) -> FloatArray:
+    """Return the sigma (H, W) px of the Gaussian window that averages as many pixels as the posterior does."""
+    local = np.maximum(_local(stiffness, known.astype(np.float64), _STIFFNESS_PX), 1e-12)
+    width: FloatArray = np.sqrt(1 / (local * height_variance(stiffness, known, prior, table)) / (4 * np.pi))
+    return width
+
+
+def most_probable(
+    height: FloatArray, data: DataTerm, cut: tuple[FloatArray, FloatArray, FloatArray], prior: Smoothness
+) -> FloatArray:
+    """Solve (k + D' W D / tau^2) h = k height + pull by conjugate gradients from `height` on."""
+    wxx, wyy, wxy = (w * prior.weight / prior.variance for w in cut)
+    diagonal = np.maximum(data.stiffness + _prior_diagonal(wxx, wyy, wxy), 1e-9)
+    solution = height.copy()
+    product = np.empty_like(height)
+    _apply(solution, data.stiffness, wxx, wyy, wxy, product)
+    residual = data.stiffness * height + data.pull - product
+    scaled = residual / diagonal
+    direction = scaled.copy()
+    power = start = float(np.sum(residual * scaled))
+    for _ in range(_MOST_STEPS):
+        if power <= _TOLERANCE**2 * start or power == 0:
+            break
+        _apply(direction, data.stiffness, wxx, wyy, wxy, product)
+        step = power / float(np.sum(direction * product))
+        solution += step * direction
+        residual -= step * product
+        scaled = residual / diagonal
+        power, last = float(np.sum(residual * scaled)), power
+        direction = scaled + (power / last) * direction
+    return solution
+
+
+def _local(values: FloatArray, weight: FloatArray | None, sigma_px: float) -> FloatArray:
+    """Return the Gaussian mean of values (H, W), of those with weight only where one is given."""
+    share = np.ones_like(values) if weight is None else weight
+    total = gaussian_window((values * share).astype(np.float32), sigma_px)
+    return np.asarray(total / np.maximum(gaussian_window(share.astype(np.float32), sigma_px), 1e-6), np.float64)
+
+
+def _prior_diagonal(wxx: FloatArray, wyy: FloatArray, wxy: FloatArray) -> FloatArray:
+    diagonal = 4 * (wxx + wyy)
+    diagonal[:, :-1] += wxx[:, 1:]
+    diagonal[:, 1:] += wxx[:, :-1]
+    diagonal[:-1] += wyy[1:]
+    diagonal[1:] += wyy[:-1]
+    corner = 2 * wxy[:-1, :-1]
+    for rows in (slice(None, -1), slice(1, None)):
+        for cols in (slice(None, -1), slice(1, None)):
+            diagonal[rows, cols] += corner
+    return diagonal
+
+
+@njit(cache=True, nogil=True)
+def _apply(h: FloatArray, k: FloatArray, wxx: FloatArray, wyy: FloatArray, wxy: FloatArray, out: FloatArray) -> None:
+    """Compute out = (k + D' W D) h; the weights of differences that would leave the grid are 0."""
+    rows, cols = h.shape
+    for r in range(rows):
+        for c in range(cols):
+            out[r, c] = k[r, c] * h[r, c]
+    for r in range(rows):
+        for c in range(1, cols - 1):
+            f = wxx[r, c] * (h[r, c - 1] - 2 * h[r, c] + h[r, c + 1])
+            out[r, c - 1] += f
+            out[r, c] -= 2 * f
+            out[r, c + 1] += f
+    for r in range(1, rows - 1):
+        for c in range(cols):
+            f = wyy[r, c] * (h[r - 1, c] - 2 * h[r, c] + h[r + 1, c])
+            out[r - 1, c] += f
+            out[r, c] -= 2 * f
+            out[r + 1, c] += f
+    for r in range(rows - 1):
+        for c in range(cols - 1):
+            f = 2 * wxy[r, c] * (h[r, c] - h[r, c + 1] - h[r + 1, c] + h[r + 1, c + 1])
+            out[r, c] += f
+            out[r, c + 1] -= f
+            out[r + 1, c] -= f
+            out[r + 1, c + 1] += f
