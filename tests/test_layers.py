@@ -34,6 +34,7 @@ LAYERS = {
     "pipeline": 6,
     "experiments": 7,
     "flags": 8,
+    "learning_commands": 8,
     "cli": 8,
     "app": 8,
     "__main__": 9,

@@ -18,6 +18,7 @@ import typer
 
 from semscape.errors import BadInputError, SemscapeError
 from semscape.flags import effective_options, simulation_options
+from semscape.learning_commands import add_learning_commands
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -378,6 +379,9 @@ def _exit_codes(*, debug: bool, quiet: bool) -> Iterator[None]:
         code, message = _verdict(error)
         typer.echo(f"semscape: error: {message}", err=True)
         raise typer.Exit(code) from None
+
+
+add_learning_commands(app, _exit_codes)
 
 
 def _verdict(error: Exception) -> tuple[int, str]:
