@@ -16,6 +16,7 @@ EXPERIMENTS: Mapping[str, str] = MappingProxyType(
     {
         "surfaces": "semscape.experiments.surfaces:run",
         "faces": "semscape.experiments.faces:run",
+        "significance": "semscape.experiments.significance:run",
     }
 )
 

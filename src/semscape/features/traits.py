@@ -5,6 +5,9 @@ blocks, and descriptors are summed up in one pass. None depends on the brightnes
 are computed in groups, so that a model pays for those alone that it uses.
 """
 
+# Every group takes the view and its keypoints; some need the keypoints alone.
+# ruff: noqa: ARG001
+
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +33,7 @@ _SHARE = _LEVELS**2
 _ENTROPY = -_SHARE * np.log(np.maximum(_SHARE, 1e-12))
 _ANGLE = np.arange(8) * (np.pi / 4)
 _WAVES = np.stack([np.cos(_ANGLE), np.sin(_ANGLE), np.cos(2 * _ANGLE), np.sin(2 * _ANGLE)])
-_FAINT_LEVEL = 20
+_FAINT_LEVEL = 20  # of 1023: a direction that holds less than half a permille of the gradient
 _AT_TWO_SCALES = ("snr", "large_gradient", "small_gradient", "coherence", "contrast")
 _LOCAL = tuple(f"{name}_{scale}" for scale in ("fine", "coarse") for name in _AT_TWO_SCALES)
 
@@ -75,7 +78,8 @@ def trait_names(groups: Sequence[str]) -> tuple[str, ...]:
 
 
 def _detector(view: Micrograph, keypoints: Keypoints) -> FloatArray:
-    return np.log(np.column_stack([keypoints.scale_px, np.maximum(keypoints.response, 1e-9)]))
+    logarithms: FloatArray = np.log(np.column_stack([keypoints.scale_px, np.maximum(keypoints.response, 1e-9)]))
+    return logarithms
 
 
 def _orientation(view: Micrograph, keypoints: Keypoints) -> FloatArray:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from semscape.errors import BadInputError
 from semscape.io.run_folder import put_files
 
+
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays to a compressed npz file; it appears whole or not at all."""
     packed = io.BytesIO()

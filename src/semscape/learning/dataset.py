@@ -119,9 +119,7 @@ class Dataset(_Value):
         ]
 
 
-def label_group(
-    name: str, series: TiltSeries, options: Options, *, seed: int, every_image: bool = False
-) -> Dataset:
+def label_group(name: str, series: TiltSeries, options: Options, *, seed: int, every_image: bool = False) -> Dataset:
     """Label the keypoints of one group of images.
 
     Parameters

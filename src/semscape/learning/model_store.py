@@ -23,15 +23,8 @@ from semscape.learning.classifiers import probability
 from semscape.types import FloatArray
 
 FORMAT = "semscape-significance-1"
-# What gradient boosting consists of beside NumPy arrays and scikit-learn's public estimators.
-TRUSTED_TYPES = (
-    "sklearn._loss.link.Interval",
-    "sklearn._loss.link.LogitLink",
-    "sklearn._loss.loss.HalfBinomialLoss",
-    "sklearn._loss._loss.CyHalfBinomialLoss",
-    "sklearn.ensemble._hist_gradient_boosting.binning._BinMapper",
-    "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
-)
+# Beside what skops itself trusts, NumPy arrays and scikit-learn's public estimators: the trees of gradient boosting.
+TRUSTED_TYPES = ("sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",)
 
 
 @dataclass(frozen=True)
@@ -71,7 +64,7 @@ def read_model(data: bytes, name: str) -> TrainedModel:
     """
     try:
         unknown = sorted(set(get_untrusted_types(data=data)) - set(TRUSTED_TYPES))
-    except Exception as error:  # noqa: BLE001 (whatever a broken archive raises)
+    except Exception as error:
         raise BadInputError(f"{name} is not a model that semscape train wrote: {error}") from error
     if unknown:
         raise BadInputError(
@@ -80,7 +73,7 @@ def read_model(data: bytes, name: str) -> TrainedModel:
         )
     try:
         content = loads(data, trusted=list(TRUSTED_TYPES))
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
         raise BadInputError(f"{name} cannot be read, perhaps another scikit-learn wrote it: {error}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BadInputError(f"{name} is not a model that semscape train wrote; its format is not {FORMAT}")

@@ -21,7 +21,7 @@ from semscape.learning.simulated_groups import simulated_dataset_parts
 from semscape.learning.validate import PROTOCOLS, Summary, summarize, validate
 from semscape.options import Options
 
-SHIPPED_TRAITS = ("detector", "margin", "local", "density", "descriptor", "orientation")
+SHIPPED_TRAITS = ("detector", "margin", "local", "density", "descriptor")
 SHIPPED_CLASSIFIER = "boosting"
 ROWS_PER_GROUP = 20_000
 ROWS_TO_VALIDATE = 4_000

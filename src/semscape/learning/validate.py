@@ -171,6 +171,4 @@ def _score(
         train_s += trained - start
         score_s += time.perf_counter() - trained
     order = np.concatenate(rows)
-    return Scored(
-        name, protocol, specimen, np.concatenate(scores), dataset.significant[order], train_s, score_s
-    )
+    return Scored(name, protocol, specimen, np.concatenate(scores), dataset.significant[order], train_s, score_s)
