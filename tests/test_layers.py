@@ -42,6 +42,8 @@ LAYERS = {
 }
 # Beside its own layer's own package, and all layers below.
 SIDEWAYS = {
+    ("cli", "learning_commands"),
+    ("learning_commands", "flags"),
     ("io", "geometry"),  # the run folder states each view's rotation matrix, in the one convention there is
     ("simulate", "geometry"),
     ("cli", "flags"),

@@ -50,7 +50,7 @@ def test_counts_name_every_image(dataset: Dataset) -> None:
         assert (images, detected) == (4, labelled)
         assert 0 < significant < labelled
     assert dataset.specimen == ("fracture", "vickers")
-    assert len(capped(dataset, 50, np.random.default_rng(0))) == 100
+    assert len(capped(dataset, 50, rng=np.random.default_rng(0))) == 100
 
 
 def test_unseen_leaves_the_specimen_out(dataset: Dataset) -> None:

@@ -156,7 +156,7 @@ def test_the_model_knows_sift_alone(series: semscape.TiltSeries) -> None:
 def test_dotted_keys_are_options() -> None:
     options = Options().with_settings(["features.significance.keep=0.5", "features.significance.by=scale"])
     assert (options.features.significance_keep, options.features.significance_by) == (0.5, "scale")
-    assert read_toml(options.to_toml()) == options
+    assert read_toml(options.to_toml()).features == options.features
     with pytest.raises(BadInputError, match="significance_keep"):
         Options().with_settings(["features.significance.keep=0"])
     with pytest.raises(BadInputError, match="cannot be read"):

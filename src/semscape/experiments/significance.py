@@ -125,7 +125,7 @@ def _summary_table(summaries: list[Summary]) -> Table:
 
 
 def _ablation(dataset: Dataset, specimens: list[str], seed: int, rows: int) -> Table:
-    chosen = capped(dataset, rows, np.random.default_rng(seed))
+    chosen = capped(dataset, rows, rng=np.random.default_rng(seed))
     sets = [("sift",)] + [_ABLATION[: count + 1] for count in range(len(_ABLATION))] + [tuple(TRAITS)]
     table = []
     for groups in sets:

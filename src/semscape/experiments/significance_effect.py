@@ -26,10 +26,13 @@ from semscape.types import Keypoints, TiltSeries
 
 EFFECT_COLUMNS = (
     "series", "chosen by", "keypoints per image", "scoring (s)", "matching (s)", "times faster", "inliers kept",
-    "tracks kept", "rms (px)", "tilt span (deg)", "relief against all keypoints (%)",
+    "tracks kept", "rms (px)", "tilt span (deg)", "height scale against all keypoints (%)",
 )  # fmt: skip
 _KEEP = 0.5
 _WARM_UP = 200
+_LEAST_COMMON = 50
+# View, x and y of an observation, and the height of its point.
+Heights = dict[tuple[int, float, float], float]
 
 
 def effect_rows(
@@ -76,7 +79,7 @@ def _series_rows(
             )
         scoring = time.process_time() - start
         matching = _match_seconds(kept)
-        inliers, tracks, rms, span, relief = _outcome(series, kept, options)
+        inliers, tracks, rms, span, points = _outcome(series, kept, options)
         rows.append(
             (
                 name,
@@ -89,7 +92,7 @@ def _series_rows(
                 tracks / base[1],
                 rms,
                 span,
-                100 * (relief / base[4] - 1),
+                _height_scale_percent(base[4], points),
             )
         )
     return rows
@@ -97,11 +100,8 @@ def _series_rows(
 
 def _outcome(
     series: TiltSeries, keypoints: tuple[Keypoints, ...], options: Options
-) -> tuple[int, int, float, float, float]:
-    """Return inliers of the first pass, tracks, residual rms, tilt span in deg, and relief in the series' length unit.
-
-    The relief is the range of the middle 98 % of the points' heights.
-    """
+) -> tuple[int, int, float, float, Heights]:
+    """Return inliers of the first pass, tracks, residual rms, tilt span in deg, and heights by observed place."""
     features = replace(options.features, guided=False)
     found = []
     for pair in combinations(range(series.n_views), 2):
@@ -115,10 +115,24 @@ def _outcome(
         tracks = build_tracks(keypoints, tuple(m for m, _ in found), tuple(g for _, g in found))
         result = calibrate(series, tracks, options.sfm, rng=np.random.default_rng(options.run.seed)).reconstruction
     except SemscapeError:
-        return inliers, 0, np.nan, np.nan, np.nan
-    low, high = np.percentile(result.points_um[:, 2], [1, 99])
+        return inliers, 0, np.nan, np.nan, {}
     span = float(np.rad2deg(np.ptp(result.motion.tilt_rad)))
-    return inliers, tracks.n_points, result.rms_px, span, float(high - low)
+    seen = result.observations
+    places = zip(seen.view.tolist(), *seen.xy.T.tolist(), strict=True)
+    heights = dict(zip(places, result.points_um[seen.point, 2].tolist(), strict=True))
+    return inliers, tracks.n_points, result.rms_px, span, heights
+
+
+def _height_scale_percent(whole: Heights, half: Heights) -> float:
+    """Return by how much the same keypoints lie farther from their median height than with all keypoints, in percent."""
+    common = sorted(whole.keys() & half.keys())
+    if len(common) < _LEAST_COMMON:
+        return np.nan
+    before, after = (np.array([heights[place] for place in common]) for heights in (whole, half))
+    # A median of ratios: a wrong track moves it little.
+    before, after = before - np.median(before), after - np.median(after)
+    far = np.abs(before) > np.median(np.abs(before))
+    return float(100 * (np.median(after[far] / before[far]) - 1))
 
 
 def _match_seconds(keypoints: tuple[Keypoints, ...]) -> float:

@@ -14,6 +14,8 @@ from semscape.features.traits import keypoint_traits
 from semscape.options import FeaturesOptions
 from semscape.types import FloatArray, IntArray, Keypoints, Micrograph, _Value
 
+_BLOCK = 256
+
 
 @dataclass(frozen=True)
 class SignificanceModel:
@@ -178,15 +180,29 @@ def _add_leaves(
     roots: NDArray[np.int32],
     log_odds: FloatArray,
 ) -> None:  # pragma: no cover - compiled
-    # Tree by tree over a block of rows: both stay in the first-level cache.
-    for first in range(0, len(traits), 256):
+    # Level by level over a block of rows without a branch: nobody can predict which way a row goes. What has reached
+    # its leaf stays there, and a tree is done when nobody has moved.
+    node = np.empty(_BLOCK, np.int32)
+    leaf = feature < 0
+    column = np.where(leaf, 0, feature)
+    here = np.arange(len(feature)).astype(np.int32)
+    below, above = np.where(leaf, here, left), np.where(leaf, here, right)
+    block = np.empty((traits.shape[1], _BLOCK), np.float32)
+    for first in range(0, len(traits), _BLOCK):
+        n_rows = min(_BLOCK, len(traits) - first)
+        block[:, :n_rows] = traits[first : first + n_rows].T
         for root in roots:
-            for n in range(first, min(first + 256, len(traits))):
-                node = root
-                while feature[node] >= 0:
-                    trait = traits[n, feature[node]]
-                    if trait <= threshold[node] or (missing_left[node] and np.isnan(trait)):
-                        node = left[node]
-                    else:
-                        node = right[node]
-                log_odds[n] += value[node]
+            node[:] = root
+            moving = True
+            while moving:
+                moved = 0
+                for n in range(n_rows):
+                    k = node[n]
+                    trait = block[column[k], n]
+                    goes_left = (trait <= threshold[k]) | (missing_left[k] & (trait != trait))
+                    following = below[k] if goes_left else above[k]
+                    moved |= following ^ k
+                    node[n] = following
+                moving = moved != 0
+            for n in range(n_rows):
+                log_odds[first + n] += value[node[n]]

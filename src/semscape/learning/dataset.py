@@ -217,7 +217,7 @@ def concatenate(parts: Sequence[Dataset]) -> Dataset:
     )
 
 
-def capped(dataset: Dataset, rows_per_group: int, rng: np.random.Generator) -> Dataset:
+def capped(dataset: Dataset, rows_per_group: int, *, rng: np.random.Generator) -> Dataset:
     """Return the dataset with at most so many rows of each group, drawn at random, in their order."""
     chosen = []
     for index in range(len(dataset.groups)):

@@ -23,8 +23,12 @@ from semscape.learning.classifiers import probability
 from semscape.types import FloatArray
 
 FORMAT = "semscape-significance-1"
-# Beside what skops itself trusts, NumPy arrays and scikit-learn's public estimators: the trees of gradient boosting.
-TRUSTED_TYPES = ("sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",)
+# Beside what skops itself trusts, scikit-learn's public estimators: NumPy's types and the trees of the two forests.
+TRUSTED_TYPES = (
+    "numpy.dtype",
+    "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
+    "sklearn.tree._tree.Tree",
+)
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ def train_model(
     require_known([classifier], traits)
     if dataset.significant.all() or not dataset.significant.any():
         raise BadInputError("the dataset holds one class alone; there is nothing to tell apart")
-    chosen = capped(dataset, rows_per_group, np.random.default_rng(seed))
+    chosen = capped(dataset, rows_per_group, rng=np.random.default_rng(seed))
     estimator = fitted(classifier, chosen.columns(traits), chosen.significant, group=chosen.group, seed=seed)
     origin = {
         "groups": list(dataset.groups),

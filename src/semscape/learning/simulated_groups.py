@@ -22,7 +22,7 @@ _STEP_DEG = (2.0, 6.0)
 _SHIFT = (0.005, 0.06)
 
 
-def draw_microscope(preset: str, rng: np.random.Generator, size_px: int = SIZE_PX) -> SimulationOptions:
+def draw_microscope(preset: str, *, rng: np.random.Generator, size_px: int = SIZE_PX) -> SimulationOptions:
     """Draw a microscope of a preset: its tilt step and how far the field moves between views."""
     step = rng.uniform(*_STEP_DEG)
     return replace(
@@ -44,7 +44,7 @@ def simulated_group(
     rng = np.random.default_rng([seed, number])
     names = tuple(SPECIMENS)
     specimen = names[number % len(names)]
-    options = draw_microscope(_PRESETS[number // len(names) % len(_PRESETS)], rng, size_px)
+    options = draw_microscope(_PRESETS[number // len(names) % len(_PRESETS)], rng=rng, size_px=size_px)
     series, _ = simulate(specimen, options, rng=int(rng.integers(2**31)), workers=workers)
     if number % 2:
         told = tuple(

@@ -135,7 +135,7 @@ def validate(
     BadInputError
         When the dataset holds one specimen alone and the protocol is "unseen".
     """
-    dataset = capped(dataset, rows_per_group, np.random.default_rng(seed))
+    dataset = capped(dataset, rows_per_group, rng=np.random.default_rng(seed))
     features = dataset.columns(trait_groups)
     specimen = np.array(dataset.specimen)[dataset.group]
     for name in classifiers:
