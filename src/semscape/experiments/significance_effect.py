@@ -124,7 +124,7 @@ def _outcome(
 
 
 def _height_scale_percent(whole: Heights, half: Heights) -> float:
-    """Return by how much the same keypoints lie farther from their median height than with all keypoints, in percent."""
+    """Return by how many percent the same keypoints lie farther from their median height than with all keypoints."""
     common = sorted(whole.keys() & half.keys())
     if len(common) < _LEAST_COMMON:
         return np.nan

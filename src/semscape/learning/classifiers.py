@@ -95,6 +95,8 @@ def fitted(name: str, features: NDArray[np.float32], significant: BoolArray, *, 
         raise ValueError(f"classifier {name!r} is unknown, known are {', '.join(CLASSIFIERS)}")
     estimator = CLASSIFIERS[name](features.shape[1], seed)
     if name == "boosting":
+        # scikit-learn cannot bin a trait that is unknown everywhere.
+        features = np.where(np.isnan(features).all(axis=0), np.float32(0), features)
         cell = 2 * group + significant
         weight = 1 / np.bincount(cell)[cell]
         return estimator.fit(features, significant, sample_weight=weight * len(weight) / weight.sum())

@@ -84,7 +84,7 @@ def summarize(scored: Scored) -> Summary:
         protocol=scored.protocol,
         specimen=scored.specimen,
         n=n,
-        majority=max(truth.mean(), 1 - truth.mean()),
+        majority=float(max(truth.mean(), 1 - truth.mean())),
         accuracy=(tp + tn) / n,
         precision=tp / (tp + fp) if tp + fp else float("nan"),
         recall=tp / (tp + fn) if tp + fn else float("nan"),
