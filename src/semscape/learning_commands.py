@@ -54,7 +54,7 @@ def add_learning_commands(app: typer.Typer, exit_codes: Callable[..., AbstractCo
     def train(
         datasets: DatasetArguments,
         output: OutputOption,
-        classifier: Annotated[str | None, typer.Option(metavar="NAME", help="boosting if left out.")] = None,
+        classifier: Annotated[str | None, typer.Option(metavar="NAME", help="logistic if left out.")] = None,
         traits: TraitsOption = None,
         rows: RowsOption = None,
         seed: SeedOption = 0,

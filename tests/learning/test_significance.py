@@ -57,7 +57,8 @@ def test_a_model_scores_the_same_after_its_file(rows: tuple[np.ndarray, np.ndarr
     again = significance_model(read_model(model_bytes(model), "m"))
     assert again.groups == GROUPS
     expected = probability(model.estimator, rows[0])
-    np.testing.assert_allclose(again.probability(rows[0]), expected, atol=1e-12)
+    # scikit-learn scales in float32, the flattened logistic regression in float64.
+    np.testing.assert_allclose(again.probability(rows[0]), expected, atol=2e-6 if name == "logistic" else 1e-12)
     assert expected[rows[1]].mean() > expected[~rows[1]].mean() + 0.2
 
 
@@ -140,10 +141,10 @@ def test_the_cheap_rules_and_the_threshold(series: semscape.TiltSeries) -> None:
     found = detect(view, FeaturesOptions())
     strong = keep_significant(view, found, FeaturesOptions(significance_keep=0.25, significance_by="response"), None)
     assert strong.response.min() >= np.sort(found.response)[-len(strong)]
-    sure = keep_significant(view, found, FeaturesOptions(significance_threshold=0.6), load_significance_model(""))
+    sure = keep_significant(view, found, FeaturesOptions(significance_threshold=0.4), load_significance_model(""))
     assert 0 < len(sure) < len(found)
     assert sure.significance is not None
-    assert sure.significance.min() >= 0.6
+    assert sure.significance.min() >= 0.4
 
 
 def test_the_model_knows_sift_alone(series: semscape.TiltSeries) -> None:

@@ -136,7 +136,7 @@ def _ablation(dataset: Dataset, specimens: list[str], seed: int, rows: int) -> T
         table.append((name, *(_auc(result) for result in results)))
     return Table(
         name="ablation",
-        title="AUC on unseen specimens by the traits that gradient boosting sees",
+        title="AUC on unseen specimens by the traits that logistic regression sees",
         columns=("traits", *specimens),
         rows=tuple(table),
         note="From the second row on each row adds a group of traits; the last adds the 128 numbers of the descriptor.",

@@ -6,12 +6,13 @@ other type is refused.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 from sklearn.ensemble import HistGradientBoostingClassifier
 from skops.io import dumps, get_untrusted_types, loads
 
@@ -99,15 +100,31 @@ def load_significance_model(path: str) -> SignificanceModel:
 
 
 def significance_model(model: TrainedModel) -> SignificanceModel:
-    """Return what scores keypoints: trees compiled where the model is gradient boosting, else scikit-learn itself."""
+    """Return what scores keypoints: boosted trees and logistic regression flattened, else scikit-learn itself."""
     if isinstance(model.estimator, HistGradientBoostingClassifier):
         trees = tree_ensemble(model.estimator, len(trait_names(model.groups)))
         return SignificanceModel(model.groups, trees.probability)
+    if "logisticregression" in getattr(model.estimator, "named_steps", {}):
+        return SignificanceModel(model.groups, _logistic_score(model.estimator))
 
     def score(traits: NDArray[np.float32]) -> FloatArray:
         return probability(model.estimator, traits)
 
     return SignificanceModel(model.groups, score)
+
+
+def _logistic_score(estimator: Any) -> Callable[[NDArray[np.float32]], FloatArray]:
+    """Return filling, scaling and the linear model as one product."""
+    filler, scaler, linear = estimator
+    weights = linear.coef_[0] / scaler.scale_
+    offset = float(linear.intercept_[0] - weights @ scaler.mean_)
+    filling = filler.statistics_.astype(np.float32)
+
+    def score(traits: NDArray[np.float32]) -> FloatArray:
+        odds: FloatArray = expit(np.where(np.isnan(traits), filling, traits) @ weights + offset)
+        return odds
+
+    return score
 
 
 def tree_ensemble(estimator: HistGradientBoostingClassifier, n_features: int) -> TreeEnsemble:

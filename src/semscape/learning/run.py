@@ -22,7 +22,7 @@ from semscape.learning.validate import PROTOCOLS, Summary, summarize, validate
 from semscape.options import Options
 
 SHIPPED_TRAITS = ("detector", "margin", "local", "density", "descriptor")
-SHIPPED_CLASSIFIER = "boosting"
+SHIPPED_CLASSIFIER = "logistic"
 ROWS_PER_GROUP = 20_000
 ROWS_TO_VALIDATE = 4_000
 Progress = Callable[[str], None]
