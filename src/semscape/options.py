@@ -41,6 +41,8 @@ _RANGES = {
     "features.normalization_sigma_px": _POSITIVE,
     "features.max_keypoints": _Range(100),
     "features.ratio": _Range(0, 1, above=True),
+    "features.significance_keep": _Range(0, 1, above=True),
+    "features.significance_threshold": _Range(0, 1),
     "robust.max_trials": _Range(10),
     "robust.min_inliers": _Range(8),
     "sfm.prior_tilt_deg": _POSITIVE,
@@ -70,6 +72,7 @@ _CHOICES = {
     "sfm.camera": ["orthographic", "perspective", "auto"],
     "sfm.method": ["series", "thesis"],
     "sfm.de_strategy": ["best1bin", "rand1bin"],
+    "features.significance_by": ["model", "response", "scale"],
 }
 
 
@@ -100,6 +103,10 @@ class FeaturesOptions(_Stage):
 
     Where there are more than `max_keypoints`, the strongest are kept, or with `spread` those that are the
     strongest within the largest radius about them. `guided` adds a second pass along the epipolar lines.
+
+    `significance_keep` is the share of each image's keypoints that are matched, chosen by `significance_by`: a trained
+    model, the response or the scale; with the model none below the probability `significance_threshold`.
+    `significance_model` is a file of `semscape train`, the model that ships with semscape where it is empty.
     """
 
     detector: str = "sift"
@@ -109,6 +116,15 @@ class FeaturesOptions(_Stage):
     spread: bool = False
     ratio: float = 0.8
     guided: bool = False
+    significance_keep: float = 1.0
+    significance_threshold: float = 0.0
+    significance_by: str = "model"
+    significance_model: str = ""
+
+    @property
+    def selects(self) -> bool:
+        """Whether some keypoints may be left out before matching."""
+        return self.significance_keep < 1 or (self.significance_by == "model" and self.significance_threshold > 0)
 
 
 @dataclass(frozen=True)
@@ -263,16 +279,16 @@ class Options:
         tables: dict[str, dict[str, Any]] = {}
         for setting in settings:
             name, equals, text = setting.partition("=")
-            if not equals or name.count(".") != 1:
+            if not equals or "." not in name:
                 raise BadInputError(
                     f"--set {setting!r} is not of the form stage.key=value, like sfm.prior_tilt_deg=0.1"
                 )
-            stage, key = (part.strip() for part in name.split("."))
+            stage, key = (part.strip() for part in name.split(".", 1))
             try:
                 value = tomllib.loads(f"value = {text}")["value"]
             except tomllib.TOMLDecodeError:
                 value = text.strip()
-            tables.setdefault(stage, {})[key] = value
+            tables.setdefault(stage, {})[key.replace("significance.", "significance_")] = value
         return self.with_values(tables)
 
     def with_values(self, tables: Mapping[str, Mapping[str, Any]]) -> Options:

@@ -17,7 +17,8 @@ from semscape.dense.mesh import height_map_mesh
 from semscape.dense.surface import dense_surface
 from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
-from semscape.options import Options, RunOptions
+from semscape.features.significance import keep_significant
+from semscape.options import FeaturesOptions, Options, RunOptions
 from semscape.report.summary import build_report, pair_figures
 from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import Calibration, calibrate
@@ -88,6 +89,9 @@ def reconstruct(
         with stages("detect") as figures:
             keypoints = tuple(mapper(partial(detect, options=options.features), series.views))
             figures["n_keypoints"] = sum(len(found) for found in keypoints)
+            if options.features.selects:
+                keypoints = _significant(series, keypoints, options.features, mapper)
+                figures["n_kept"] = sum(len(found) for found in keypoints)
 
         with stages("match") as figures:
             matches, geometries, failures = _match_all(series, keypoints, options, seed, mapper)
@@ -140,6 +144,19 @@ def reconstruct(
         failures=tuple(failures),
     )
     return Result(series, keypoints, matches, geometries, reconstruction, surface.height_map, mesh, report)
+
+
+def _significant(
+    series: TiltSeries, keypoints: tuple[Keypoints, ...], options: FeaturesOptions, mapper: Mapper
+) -> tuple[Keypoints, ...]:
+    """Keep the keypoints that are worth matching; each image is scored once, whatever the number of its pairs."""
+    model = None
+    if options.significance_by == "model":
+        from semscape.learning.model_store import load_significance_model  # scikit-learn takes a second to import
+
+        model = load_significance_model(options.significance_model)
+    keep = partial(keep_significant, options=options, model=model)
+    return tuple(mapper(lambda found: keep(*found), zip(series.views, keypoints, strict=True)))
 
 
 def _match_all(

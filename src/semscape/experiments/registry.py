@@ -20,6 +20,7 @@ EXPERIMENTS: Mapping[str, str] = MappingProxyType(
         "calibration": "semscape.experiments.calibration:run",
         "convergence": "semscape.experiments.convergence:run",
         "faces": "semscape.experiments.faces:run",
+        "significance": "semscape.experiments.significance:run",
     }
 )
 

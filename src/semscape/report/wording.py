@@ -15,6 +15,7 @@ UNIT_SIGNS: dict[str, str] = {"um": "µm", "px": "px"}
 
 _LABELS = {
     "rms_px": "Residual rms",
+    "n_kept": "Kept for matching",
     "n_points": "Points",
     "n_observations": "Observations",
     "n_tracks": "Tracks",

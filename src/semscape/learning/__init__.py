@@ -1,0 +1,1 @@
+"""Learning which keypoints are worth matching: training sets, classifiers, validation, the model's file."""

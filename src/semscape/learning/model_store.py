@@ -1,0 +1,148 @@
+"""A trained model as bytes and back, by skops: reading a model file runs nothing that the file brings along.
+
+A pickle runs whatever its author wrote. A skops file is read against the list `TRUSTED_TYPES`; one that names any
+other type is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+from sklearn.ensemble import HistGradientBoostingClassifier
+from skops.io import dumps, get_untrusted_types, loads
+
+from semscape.errors import BadInputError
+from semscape.features.significance import SignificanceModel, TreeEnsemble
+from semscape.features.traits import TRAITS, trait_names
+from semscape.io.learning_files import read_model_file
+from semscape.learning.classifiers import probability
+from semscape.types import FloatArray
+
+FORMAT = "semscape-significance-1"
+# Beside what skops itself trusts, scikit-learn's public estimators: NumPy's types and the trees of the two forests.
+TRUSTED_TYPES = (
+    "numpy.dtype",
+    "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
+    "sklearn.tree._tree.Tree",
+)
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """A classifier, the groups of traits that it takes, and where it comes from (plain values)."""
+
+    estimator: Any
+    groups: tuple[str, ...]
+    origin: Mapping[str, Any] = field(default_factory=dict)
+
+
+def model_bytes(model: TrainedModel) -> bytes:
+    """Return the bytes of a model's file."""
+    content = {
+        "format": FORMAT,
+        "groups": list(model.groups),
+        "origin": dict(model.origin),
+        "estimator": model.estimator,
+    }
+    packed: bytes = dumps(content, compression=8, compresslevel=9)
+    return packed
+
+
+def read_model(data: bytes, name: str) -> TrainedModel:
+    """Return the model of a file's bytes.
+
+    Parameters
+    ----------
+    data : bytes
+    name : str
+        Of the file, for messages.
+
+    Raises
+    ------
+    BadInputError
+        For a file that is no model of semscape's, or that holds a type beyond `TRUSTED_TYPES`.
+    """
+    try:
+        unknown = sorted(set(get_untrusted_types(data=data)) - set(TRUSTED_TYPES))
+    except Exception as error:
+        raise BadInputError(f"{name} is not a model that semscape train wrote: {error}") from error
+    if unknown:
+        raise BadInputError(
+            f"{name} holds types that a model has no use for ({', '.join(unknown[:3])}); it was not opened. "
+            "Train a model with semscape train"
+        )
+    try:
+        content = loads(data, trusted=list(TRUSTED_TYPES))
+    except Exception as error:
+        raise BadInputError(f"{name} cannot be read, perhaps another scikit-learn wrote it: {error}") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise BadInputError(f"{name} is not a model that semscape train wrote; its format is not {FORMAT}")
+    groups = tuple(content["groups"])
+    if not set(groups) <= set(TRAITS):
+        raise BadInputError(f"{name} asks for groups of traits that are not known: {', '.join(groups)}")
+    return TrainedModel(content["estimator"], groups, content["origin"])
+
+
+def load_significance_model(path: str) -> SignificanceModel:
+    """Return what scores keypoints from a model file, or where `path` is empty from the model that ships.
+
+    Raises
+    ------
+    BadInputError
+        As `read_model`, or when there is no such file.
+    """
+    return significance_model(read_model(read_model_file(path), path or "the shipped model"))
+
+
+def significance_model(model: TrainedModel) -> SignificanceModel:
+    """Return what scores keypoints: boosted trees and logistic regression flattened, else scikit-learn itself."""
+    if isinstance(model.estimator, HistGradientBoostingClassifier):
+        trees = tree_ensemble(model.estimator, len(trait_names(model.groups)))
+        return SignificanceModel(model.groups, trees.probability)
+    if "logisticregression" in getattr(model.estimator, "named_steps", {}):
+        return SignificanceModel(model.groups, _logistic_score(model.estimator))
+
+    def score(traits: NDArray[np.float32]) -> FloatArray:
+        return probability(model.estimator, traits)
+
+    return SignificanceModel(model.groups, score)
+
+
+def _logistic_score(estimator: Any) -> Callable[[NDArray[np.float32]], FloatArray]:
+    """Return filling, scaling and the linear model as one product."""
+    filler, scaler, linear = estimator
+    weights = linear.coef_[0] / scaler.scale_
+    offset = float(linear.intercept_[0] - weights @ scaler.mean_)
+    filling = filler.statistics_.astype(np.float32)
+
+    def score(traits: NDArray[np.float32]) -> FloatArray:
+        odds: FloatArray = expit(np.where(np.isnan(traits), filling, traits) @ weights + offset)
+        return odds
+
+    return score
+
+
+def tree_ensemble(estimator: HistGradientBoostingClassifier, n_features: int) -> TreeEnsemble:
+    """Return the trees of a binary gradient boosting classifier as flat arrays."""
+    predictors = [stage[0].nodes for stage in estimator._predictors]
+    sizes = [len(nodes) for nodes in predictors]
+    roots = np.cumsum([0, *sizes[:-1]]).astype(np.int32)
+    nodes = np.concatenate(predictors)
+    first = np.repeat(roots, sizes)
+    leaf = nodes["is_leaf"].astype(bool)
+    return TreeEnsemble(
+        feature=np.where(leaf, -1, nodes["feature_idx"]).astype(np.int32),
+        threshold=nodes["num_threshold"].astype(np.float64),
+        left=(nodes["left"] + first).astype(np.int32),
+        right=(nodes["right"] + first).astype(np.int32),
+        missing_left=nodes["missing_go_to_left"].astype(bool),
+        value=nodes["value"].astype(np.float64),
+        roots=roots,
+        baseline=float(np.ravel(estimator._baseline_prediction)[0]),
+        n_features=n_features,
+    )
