@@ -1,4 +1,4 @@
-"""The command line: `semscape reconstruct`, `inspect`, `measure`, `simulate` and `demo`.
+"""The command line: `semscape reconstruct`, `batch`, `inspect`, `measure`, `simulate` and `demo`.
 
 Exit codes: 0 done, 1 a fault of semscape itself, 2 bad input or usage, 3 the data give no answer, 130
 interrupted. What a command needs is imported when it runs, so that `semscape --help` is quick. No flag has
@@ -7,16 +7,13 @@ a default of its own: a flag that is not given leaves the value to the options f
 
 from __future__ import annotations
 
-import logging
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from semscape.errors import BadInputError, SemscapeError
+from semscape.exit_codes import exit_codes as _exit_codes
 from semscape.flags import effective_options, simulation_options
 
 if TYPE_CHECKING:
@@ -58,6 +55,7 @@ SeedOption = Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed o
 WorkersOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="Number of threads; it changes no result.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show log and traceback.")]
+LogJsonOption = Annotated[bool, typer.Option("--log-json", help="Log as lines of JSON on stderr, and no other lines.")]
 _PLACE = " In px, or 1.5,2,40,2um."
 
 
@@ -100,14 +98,54 @@ def reconstruct(
         typer.Option("--invert-relief/--keep-relief", help="Mirror a relief whose sign nothing but shading fixed."),
     ] = None,
     quiet: QuietOption = False,
+    log_json: LogJsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Reconstruct the surface from a folder of tilted images and write a run folder."""
-    with _exit_codes(debug=debug, quiet=quiet):
+    with _exit_codes(debug=debug, quiet=quiet, log_json=log_json):
         options = effective_options(
             options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um
         )
-        _run(folder, output, options, workers=workers, quiet=quiet)
+        _run(folder, output, options, workers=workers, quiet=quiet, lines=not (quiet or log_json))
+
+
+@app.command(short_help="Reconstruct many specimens, and go on where it was interrupted.")
+def batch(
+    manifest: Annotated[
+        Path, typer.Argument(help="CSV with a row per specimen, or a folder of folders.", metavar="MANIFEST")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for runs and summary.", metavar="OUT")],
+    settings: SetOption = None,
+    options_file: OptionsOption = None,
+    workers: Annotated[int | None, typer.Option(min=0, metavar="N", help="Processes; 0: in this one.")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, metavar="N", help="Most threads of each.")] = None,
+    memory_mb: Annotated[int, typer.Option(min=0, metavar="MB", help="Most memory of each; 0: no limit.")] = 0,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, tcp://...")] = None,
+    slurm: Annotated[str | None, typer.Option(metavar="LIST", help="partition=...,cores=...,memory=...")] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed ones again.")] = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Read all files again to see what is done.")] = False,
+    spread: Annotated[bool, typer.Option("--spread", help="One by one, each over all workers.")] = False,
+    quiet: QuietOption = False,
+    log_json: LogJsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Reconstruct many specimens. Exit code 0: all are done, 1: some failed, 2: wrong usage."""
+    with _exit_codes(debug=debug, quiet=quiet, log_json=log_json):
+        from semscape.batch.command import run_command
+        from semscape.cluster import Placement
+
+        options = effective_options(options_file, settings, None, None, None, None, None)
+        placement = Placement(workers, threads, memory_mb, scheduler, slurm)
+        how = {"retry_failed": retry_failed, "verify": verify, "spread": spread}
+        raise typer.Exit(run_command(manifest, output, options, placement, _console(), quiet or log_json, **how))
+
+
+@app.command(short_help="Show versions and resources, and test this installation.")
+def doctor() -> None:
+    """Print versions, cores, memory, BLAS and optional extras, and reconstruct a small simulated series."""
+    from semscape.doctor import examine
+
+    raise typer.Exit(examine(_console()))
 
 
 @app.command(short_help="Show what is understood of a folder of images.")
@@ -276,7 +314,7 @@ def demo(
             typer.echo(f"simulating a tilt series in {folder / 'images'}", err=True)
         _simulate_into(folder / "images", None, None, seed)
         options = effective_options(None, None, None, None, None, seed, None)
-        _run(folder / "images", folder / "run", options, workers=workers, quiet=quiet)
+        _run(folder / "images", folder / "run", options, workers=workers, quiet=quiet, lines=not quiet)
 
 
 @app.command("compare-features", short_help="Compare the four keypoint detectors on a folder of images.")
@@ -306,27 +344,18 @@ def compare_features(
         typer.echo(text, nl=False)
 
 
-def _run(folder: Path, output: Path, options: Options, *, workers: int | None, quiet: bool) -> None:
+def _run(folder: Path, output: Path, options: Options, *, workers: int | None, quiet: bool, lines: bool) -> None:
     """Reconstruct a folder of images into a run folder, with progress on stderr and the summary on stdout."""
-    from semscape.io.run_folder import prepare_run_folder
-    from semscape.io.series import load_series
+    from semscape.batch.folder_run import reconstruct_folder
     from semscape.report.console import StageLines, print_line, print_summary
 
-    series = load_series(folder, options.input)
-    prepare_run_folder(output)
-
-    from semscape.pipeline import reconstruct as reconstruct_series
-    from semscape.report.run import write_run
-
-    given = {} if workers is None else {"workers": workers}
-    with StageLines(_console(err=True), quiet=quiet, unit=series.length_unit) as progress:
-        result = reconstruct_series(series, options, rng=options.run.seed, progress=progress, **given)
-        progress("report", None)
-        write_run(result, output)
-        progress("report", {})
+    with StageLines(_console(err=True), quiet=not lines) as progress:
+        result = reconstruct_folder(
+            folder, output, options, workers=workers, progress=progress, on_series=progress.take_unit_of
+        )
     if quiet:
         return
-    for warning in (*result.report.failures, *result.report.warnings):
+    for warning in (*result.report.failures, *result.report.warnings) if lines else ():
         print_line(f"warning: {warning}", _console(err=True), "yellow")
     console = _console()
     print_summary(result, console)
@@ -353,42 +382,3 @@ def _console(*, err: bool = False) -> Console:
     stream = sys.stderr if err else sys.stdout
     # Where nobody looks at a window's width, a table takes what it needs.
     return Console(stderr=err, highlight=False, width=None if stream.isatty() else 160)
-
-
-@contextmanager
-def _exit_codes(*, debug: bool, quiet: bool) -> Iterator[None]:
-    """Turn what goes wrong into one message on stderr and an exit code; with `debug` let the traceback through."""
-    logging.basicConfig(
-        level=logging.DEBUG if debug else logging.ERROR if quiet else logging.WARNING, format="%(name)s: %(message)s"
-    )
-    for talkative in ("matplotlib", "PIL", "numba", "trimesh", "tifffile"):
-        logging.getLogger(talkative).setLevel(logging.ERROR)
-    try:
-        yield
-    except typer.Exit:
-        raise
-    except KeyboardInterrupt:
-        typer.echo("interrupted", err=True)
-        raise typer.Exit(130) from None
-    except Exception as error:  # noqa: BLE001 (the last resort: a message and an exit code for whatever it is)
-        if debug:
-            import traceback
-
-            traceback.print_exc()
-        code, message = _verdict(error)
-        typer.echo(f"semscape: error: {message}", err=True)
-        raise typer.Exit(code) from None
-
-
-def _verdict(error: Exception) -> tuple[int, str]:
-    """Return the exit code and the message for an exception."""
-    linear_algebra = sys.modules.get("numpy.linalg")
-    is_numerical = linear_algebra is not None and isinstance(error, linear_algebra.LinAlgError)
-    if isinstance(error, BadInputError):
-        return 2, str(error)
-    if isinstance(error, SemscapeError):
-        return 3, str(error)
-    if isinstance(error, ValueError) and not is_numerical:
-        return 2, str(error)
-    detail = " ".join(str(error).split())
-    return 1, f"unexpected {type(error).__name__}{': ' if detail else ''}{detail}; run again with --debug"

@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 import zlib
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from semscape.dense.surface import dense_surface
 from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
 from semscape.options import Options, RunOptions
+from semscape.report.memory import PeakMemory
 from semscape.report.summary import build_report, pair_figures
 from semscape.sfm.calibrate import calibrate
 from semscape.sfm.plausibility import require_tilts
@@ -26,6 +28,12 @@ from semscape.sfm.two_view import Pair, largest_connected_set, match_pair, renum
 from semscape.types import Keypoints, Matches, Result, StageReport, TiltSeries, TwoViewGeometry
 
 Progress = Callable[[str, dict[str, Any] | None], None]
+Value = TypeVar("Value")
+
+
+def compute(_stage: str, make: Callable[[], Value]) -> Value:
+    """Make a stage's value; `semscape.io.work_folder` offers to keep it on disk as well."""
+    return make()
 
 
 def reconstruct(
@@ -35,6 +43,8 @@ def reconstruct(
     rng: int | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
+    mapper: Mapper | None = None,
+    keep: Callable[[str, Callable[[], Any]], Any] = compute,
 ) -> Result:
     """Reconstruct the surface of a specimen from a tilt series.
 
@@ -50,6 +60,10 @@ def reconstruct(
         Threads; one per core where left out. The result does not depend on it.
     progress : callable, optional
         Called with a stage's name and None when it starts, and with its figures when it has ended.
+    mapper : callable, optional
+        A `map` that runs the tasks of a stage, like that of an executor; `workers` threads where left out.
+    keep : callable, optional
+        Called with a stage's name and a function that makes its value; returns the value, new or kept from before.
 
     Returns
     -------
@@ -81,20 +95,23 @@ def reconstruct(
     seed = options.run.seed
     stages = _Stages(progress)
     require_tilts(series)
-    with local_mapper(workers) as mapper:
+    with nullcontext(mapper) if mapper else local_mapper(workers) as mapper:
         with stages("detect") as figures:
-            keypoints = tuple(mapper(partial(detect, options=options.features), series.views))
+            find = partial(detect, options=options.features)
+            keypoints = keep("detect", lambda: tuple(mapper(find, series.views)))
             figures["n_keypoints"] = sum(len(found) for found in keypoints)
 
         with stages("match") as figures:
-            matches, geometries, failures = _match_all(series, keypoints, options, seed, mapper)
+            matches, geometries, failures = keep("match", lambda: _match_all(series, keypoints, options, seed, mapper))
             series, keypoints, matches, geometries = _connected(series, keypoints, matches, geometries, failures)
             figures["n_inliers"] = int(sum(geometry.inliers.sum() for geometry in geometries))
             figures["n_pairs"] = len(geometries)
 
         with stages("calibrate") as figures:
             observations = build_tracks(keypoints, matches, geometries)
-            calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
+            calibration = keep(
+                "calibrate", lambda: calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
+            )
             reconstruction = calibration.reconstruction
             figures["rms_px"] = reconstruction.rms_px
             figures["tilts_deg"] = np.rad2deg(reconstruction.motion.tilt_rad).round(3).tolist()
@@ -105,7 +122,7 @@ def reconstruct(
             figures["overdispersion"] = calibration.overdispersion
 
         with stages("surface") as figures:
-            surface = dense_surface(series, reconstruction, options.dense, mapper=mapper)
+            surface = keep("surface", lambda: dense_surface(series, reconstruction, options.dense, mapper=mapper))
             figures["completeness"] = float(np.isfinite(surface.height_map.height_um).mean())
             figures["pairs"] = [list(pair) for pair in surface.pairs]
 
@@ -130,18 +147,27 @@ def _match_all(
     series: TiltSeries, keypoints: tuple[Keypoints, ...], options: Options, seed: int, mapper: Mapper
 ) -> tuple[tuple[Matches, ...], tuple[TwoViewGeometry, ...], list[str]]:
     """Match every pair; a pair that shares no scene is a line among the failures."""
-
-    def attempt(pair: Pair) -> tuple[Matches, TwoViewGeometry] | SemscapeError:
-        try:
-            rng = _stream(seed, "match", *pair)
-            return match_pair(pair, keypoints, series.names, series.shape, options.features, options.robust, rng)
-        except SemscapeError as error:
-            return error
-
+    attempt = partial(_attempt, keypoints=keypoints, names=series.names, shape=series.shape, options=options, seed=seed)
     outcomes = list(mapper(attempt, combinations(range(series.n_views), 2)))
     failures = [str(outcome) for outcome in outcomes if isinstance(outcome, SemscapeError)]
     found = [outcome for outcome in outcomes if not isinstance(outcome, SemscapeError)]
     return tuple(matches for matches, _ in found), tuple(geometry for _, geometry in found), failures
+
+
+def _attempt(
+    pair: Pair,
+    *,
+    keypoints: tuple[Keypoints, ...],
+    names: tuple[str, ...],
+    shape: tuple[int, int],
+    options: Options,
+    seed: int,
+) -> tuple[Matches, TwoViewGeometry] | SemscapeError:
+    try:
+        rng = _stream(seed, "match", *pair)
+        return match_pair(pair, keypoints, names, shape, options.features, options.robust, rng)
+    except SemscapeError as error:
+        return error
 
 
 def _connected(
@@ -192,11 +218,13 @@ class _Stage:
     def __enter__(self) -> dict[str, Any]:
         if self._progress:
             self._progress(self._name, None)
+        self._memory = PeakMemory()
         self._start = time.perf_counter()
         return self._figures
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
-            self._done.append(StageReport(self._name, time.perf_counter() - self._start, self._figures))
+            seconds = time.perf_counter() - self._start
+            self._done.append(StageReport(self._name, seconds, self._figures, self._memory.peak_mb()))
             if self._progress:
                 self._progress(self._name, self._figures)
