@@ -59,7 +59,7 @@ class OnDask:
             pure=False,
         )
         index_of = {future.key: index for index, future in enumerate(futures)}
-        for future in as_completed(futures):  # type: ignore[no-untyped-call]
+        for future in as_completed(futures, loop=self._client.loop):  # type: ignore[no-untyped-call]
             index = index_of[future.key]
             try:
                 yield outcome(index, requests[index], future.result())
