@@ -19,7 +19,7 @@ from semscape.report.console import print_line
 
 _PACKAGES = ("semscape", "numpy", "scipy", "opencv-contrib-python-headless", "numba", "mahotas", "tifffile", "trimesh")
 _EXTRAS = {"cluster": ("dask", "distributed", "dask-jobqueue")}
-_MOST_HEIGHT_ERROR = 0.05
+_MOST_HEIGHT_ERROR = 0.15
 _SEED = 0
 
 
@@ -32,7 +32,7 @@ def examine(console: Console) -> int:
     error = self_test()
     seconds = time.perf_counter() - start
     good = error <= _MOST_HEIGHT_ERROR
-    said = f"height scale off by {100 * error:.1f} % of the relief, {seconds:.1f} s"
+    said = f"median height error {100 * error:.1f} % of the relief, {seconds:.1f} s"
     advice = "" if good else f" (at most {100 * _MOST_HEIGHT_ERROR:.0f} % expected): install semscape again"
     print_line(f"{'result:':<14} {'good' if good else 'WRONG'}, {said}{advice}", console, "green" if good else "red")
     return 0 if good else 1
@@ -53,16 +53,16 @@ def facts() -> Iterator[tuple[str, str]]:
 
 
 def self_test() -> float:
-    """Reconstruct a small simulated series and return the error of its relief against the truth, relative."""
+    """Reconstruct a small simulated series; return the median height error over the standard deviation of the truth."""
     from semscape.pipeline import reconstruct
     from semscape.simulate import SimulationOptions, simulate
 
-    microscope = replace(SimulationOptions(), tilts_deg=(-6.0, 0.0, 6.0), width_px=160, height_px=160)
-    series, truth = simulate("fracture", microscope, rng=_SEED)
+    microscope = replace(SimulationOptions(), tilts_deg=(-10.0, 0.0, 10.0), width_px=192, height_px=192)
+    series, truth = simulate("pollen", microscope, rng=_SEED)
     found = reconstruct(series, Options(), rng=_SEED).height_map.height_um
     known = np.isfinite(found) & np.isfinite(truth.height_um)
-    slope = np.polyfit(truth.height_um[known], found[known], 1)[0]
-    return abs(float(slope) - 1.0)
+    error = found[known] - truth.height_um[known]
+    return float(np.median(np.abs(error - np.median(error))) / np.std(truth.height_um[known]))
 
 
 def _version(package: str) -> str:

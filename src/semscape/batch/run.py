@@ -168,7 +168,8 @@ def _ending(task: SpecimenTask, outcome: Outcome) -> Ending:
     else:
         code, message = verdict_of(outcome.error)
         record = Record(task.name, "failed", "", {}, reason=message, exit_code=code)
-        write_record(Path(task.output), record)
+        if not isinstance(outcome.error, BadInputError):  # a record that a newer semscape wrote is left alone
+            write_record(Path(task.output), record)
         ending = Ending(record, kept=False, n_bytes=outcome.n_bytes)
     extra = {"specimen": record.name, "state": record.state, "kept": ending.kept, "seconds": round(record.seconds, 3)}
     if record.state == "failed":
