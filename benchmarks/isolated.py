@@ -64,7 +64,7 @@ def run_cases(cases: Mapping[str, Case], description: str) -> None:
 
 def peak_memory_mb() -> float:
     """Return the most memory that this process has held so far, in MB; NaN where the system does not tell."""
-    from semscape.report.summary import peak_memory_mb as peak
+    from semscape.report.memory import peak_memory_mb as peak
 
     return peak()
 

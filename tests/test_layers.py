@@ -34,6 +34,10 @@ LAYERS = {
     "pipeline": 6,
     "experiments": 7,
     "flags": 8,
+    "log_lines": 0,
+    "exit_codes": 8,
+    "batch": 8,
+    "doctor": 8,
     "cli": 8,
     "app": 8,
     "__main__": 9,
@@ -44,11 +48,15 @@ SIDEWAYS = {
     ("io", "geometry"),  # the run folder states each view's rotation matrix, in the one convention there is
     ("simulate", "geometry"),
     ("cli", "flags"),
+    ("cli", "exit_codes"),
+    ("cli", "batch"),
+    ("cli", "doctor"),
+    ("batch", "flags"),
     ("options", "errors"),
 }
 # A renderer that shares matching or triangulation code with the pipeline cannot falsify it.
 SIMULATE_MAY_IMPORT = {"types", "errors", "geometry", "simulate"}
-OPENS_FILES = {"io", "report", "experiments", "app", "cli", "flags"}
+OPENS_FILES = {"io", "report", "experiments", "app", "cli", "flags", "batch"}
 IMPORTS_CV2 = {"features", "dense"}
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "common", "base", "manager", "misc"}
 FILE_CALLS = {

@@ -150,7 +150,7 @@ def test_another_seed_gives_nearly_the_same_result(folder: Path, run_folder: Pat
 
 
 def test_every_file_of_the_contract_is_there(run_folder: Path) -> None:
-    assert sorted(path.name for path in run_folder.iterdir()) == sorted(RUN_FILES)
+    assert sorted(path.name for path in run_folder.iterdir()) == sorted([*RUN_FILES, "run.log"])
     assert set(RUN_FILES) == {
         "report.json", "report.html", "reconstruction.json", "points.ply", "mesh.ply", "mesh.glb", "height_map.npz",
         "height_map.tif", "options.toml",
@@ -247,7 +247,7 @@ def test_a_run_may_be_repeated_into_its_own_folder(folder: Path, run_folder: Pat
     before = (output / "reconstruction.json").read_bytes()
     assert run("reconstruct", folder, "-o", output, "-q").exit_code == 0
     assert (output / "reconstruction.json").read_bytes() == before
-    assert sorted(path.name for path in output.iterdir()) == sorted(RUN_FILES)
+    assert sorted(path.name for path in output.iterdir()) == sorted([*RUN_FILES, "run.log"])
 
 
 def test_the_tilt_that_a_self_calibration_holds_has_no_sigma() -> None:

@@ -7,6 +7,8 @@ the way out. The command line turns `BadInputError` into exit code 2 and every o
 
 from __future__ import annotations
 
+import sys
+
 
 class SemscapeError(Exception):
     """Base of every error that semscape raises about data."""
@@ -26,3 +28,23 @@ class TooFewMatchesError(NoAnswerError):
 
 class DegenerateGeometryError(NoAnswerError):
     """The views hold no parallax, or too few tilts to fix the height scale."""
+
+
+def verdict_of(error: Exception) -> tuple[int, str]:
+    """Return the exit code and the message for an exception.
+
+    Examples
+    --------
+    >>> verdict_of(BadInputError("a.tif: 0 bytes"))
+    (2, 'a.tif: 0 bytes')
+    """
+    linear_algebra = sys.modules.get("numpy.linalg")
+    is_numerical = linear_algebra is not None and isinstance(error, linear_algebra.LinAlgError)
+    if isinstance(error, BadInputError):
+        return 2, str(error)
+    if isinstance(error, SemscapeError):
+        return 3, str(error)
+    if isinstance(error, ValueError) and not is_numerical:
+        return 2, str(error)
+    detail = " ".join(str(error).split())
+    return 1, f"unexpected {type(error).__name__}{': ' if detail else ''}{detail}; run again with --debug"

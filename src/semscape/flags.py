@@ -36,6 +36,19 @@ def effective_options(
             reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
             raise BadInputError(f"the options file {file} cannot be read: {reason}") from error
     options = options.with_settings(settings or [])
+    return with_flags(options, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um)
+
+
+def with_flags(
+    options: Options,
+    tilts: str | None = None,
+    pixel_size_um: float | None = None,
+    axis_deg: float | None = None,
+    seed: int | None = None,
+    invert_relief: bool | None = None,
+    scale_bar_um: float | None = None,
+) -> Options:
+    """Return options changed by the flags that are given; so the cells of a batch's manifest are read as well."""
     values: dict[str, dict[str, Any]] = {"input": {}, "run": {}, "sfm": {}}
     if tilts is not None:
         values["input"]["tilts_deg"] = _numbers("--tilts", tilts)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -286,7 +287,7 @@ class Options:
             stage, key = (part.strip() for part in name.split(".", 1))
             try:
                 value = tomllib.loads(f"value = {text}")["value"]
-            except tomllib.TOMLDecodeError:
+            except (ValueError, RecursionError):
                 value = text.strip()
             tables.setdefault(stage, {})[key.replace("significance.", "significance_")] = value
         return self.with_values(tables)
@@ -337,7 +338,7 @@ def read_toml(text: str) -> Options:
     """
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInputError(f"the options file is not valid TOML: {error}") from error
     return Options().with_values(tables)
 
@@ -370,7 +371,9 @@ def _coerce(name: str, default: Any, value: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(value, int):  # TOML's integers may be larger than any float
+        return not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    return isinstance(value, float)
 
 
 def _toml_value(value: Any) -> str:

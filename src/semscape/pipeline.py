@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 import zlib
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
 from semscape.features.significance import keep_significant
 from semscape.options import FeaturesOptions, Options, RunOptions
+from semscape.report.memory import PeakMemory
 from semscape.report.summary import build_report, pair_figures
 from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import Calibration, calibrate
@@ -27,9 +29,25 @@ from semscape.sfm.plausibility import require_tilts
 from semscape.sfm.thesis import thesis_calibration
 from semscape.sfm.tracks import build_tracks
 from semscape.sfm.two_view import Pair, largest_connected_set, match_pair, renumber
-from semscape.types import Keypoints, Matches, Observations, Result, StageReport, TiltSeries, TwoViewGeometry
+from semscape.types import (
+    FloatArray,
+    Keypoints,
+    Matches,
+    Observations,
+    Result,
+    StageReport,
+    TiltSeries,
+    TwoViewGeometry,
+)
 
 Progress = Callable[[str, dict[str, Any] | None], None]
+Value = TypeVar("Value")
+_Matched = tuple[tuple[Keypoints, ...], tuple[Matches, ...], tuple[TwoViewGeometry, ...]]
+
+
+def compute(_stage: str, make: Callable[[], Value]) -> Value:
+    """Make a stage's value; `semscape.io.work_folder` offers to keep it on disk as well."""
+    return make()
 
 
 def reconstruct(
@@ -39,6 +57,8 @@ def reconstruct(
     rng: int | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
+    mapper: Mapper | None = None,
+    keep: Callable[[str, Callable[[], Any]], Any] = compute,
 ) -> Result:
     """Reconstruct the surface of a specimen from a tilt series.
 
@@ -54,6 +74,10 @@ def reconstruct(
         Threads; one per core where left out. The result does not depend on it.
     progress : callable, optional
         Called with a stage's name and None when it starts, and with its figures when it has ended.
+    mapper : callable, optional
+        A `map` that runs the tasks of a stage, like that of an executor; `workers` threads where left out.
+    keep : callable, optional
+        Called with a stage's name and a function that makes its value; returns the value, new or kept from before.
 
     Returns
     -------
@@ -85,33 +109,28 @@ def reconstruct(
     seed = options.run.seed
     stages = _Stages(progress)
     require_tilts(series)
-    with local_mapper(workers) as mapper:
+    with nullcontext(mapper) if mapper else local_mapper(workers) as mapper:
         with stages("detect") as figures:
-            keypoints = tuple(mapper(partial(detect, options=options.features), series.views))
+            find = partial(detect, options=options.features)
+            keypoints = keep("detect", lambda: tuple(mapper(find, series.views)))
             figures["n_keypoints"] = sum(len(found) for found in keypoints)
             if options.features.selects:
                 keypoints = _significant(series, keypoints, options.features, mapper)
                 figures["n_kept"] = sum(len(found) for found in keypoints)
 
         with stages("match") as figures:
-            matches, geometries, failures = _match_all(series, keypoints, options, seed, mapper)
+            matches, geometries, failures = keep("match", lambda: _match_all(series, keypoints, options, seed, mapper))
             series, keypoints, matches, geometries = _connected(series, keypoints, matches, geometries, failures)
             figures["n_inliers"] = int(sum(geometry.inliers.sum() for geometry in geometries))
             figures["n_pairs"] = len(geometries)
+            matched = keypoints, matches, geometries
 
         with stages("calibrate") as figures:
-            observations = build_tracks(keypoints, matches, geometries)
-            if options.sfm.method == "thesis":
-                calibration, thesis = thesis_calibration(series, observations, options.sfm, rng=_stream(seed, "thesis"))
-                failures += thesis.failures
-            else:
-                calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
-            while (misfit := _misfit(series, observations, calibration, options, seed)) is not None:
-                series, kept = _without_misfit(series, misfit)
-                keypoints = tuple(keypoints[i] for i in kept)
-                matches, geometries = renumber(matches, geometries, kept)
-                observations = build_tracks(keypoints, matches, geometries)
-                calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
+            calibration, misfits, failed = keep("calibrate", partial(_calibrated, series, matched, options, seed))
+            failures = [*failures, *failed]
+            for misfit in misfits:
+                series, matched = _without_misfit(series, matched, misfit)
+            keypoints, matches, geometries = matched
             reconstruction = calibration.reconstruction
             figures["rms_px"] = reconstruction.rms_px
             figures["tilts_deg"] = np.rad2deg(reconstruction.motion.tilt_rad).round(3).tolist()
@@ -125,7 +144,7 @@ def reconstruct(
             figures["camera"], figures["camera_margin"] = reconstruction.camera, reconstruction.camera_margin
 
         with stages("surface") as figures:
-            surface = dense_surface(series, reconstruction, options.dense, mapper=mapper)
+            surface = keep("surface", lambda: dense_surface(series, reconstruction, options.dense, mapper=mapper))
             figures["completeness"] = float(np.isfinite(surface.height_map.height_um).mean())
             figures["pairs"] = [list(pair) for pair in surface.pairs]
 
@@ -164,27 +183,37 @@ def _match_all(
 ) -> tuple[tuple[Matches, ...], tuple[TwoViewGeometry, ...], list[str]]:
     """Match every pair; a pair that shares no scene is a line among the failures."""
     calibrations = pinhole_calibrations(series) if options.robust.model == "essential" else None
-
-    def attempt(pair: Pair) -> tuple[Matches, TwoViewGeometry] | SemscapeError:
-        try:
-            rng = _stream(seed, "match", *pair)
-            return match_pair(
-                pair,
-                keypoints,
-                series.names,
-                series.shape,
-                options.features,
-                options.robust,
-                rng,
-                (calibrations[pair[0]], calibrations[pair[1]]) if calibrations else None,
-            )
-        except SemscapeError as error:
-            return error
-
+    attempt = partial(
+        _attempt,
+        keypoints=keypoints,
+        names=series.names,
+        shape=series.shape,
+        options=options,
+        seed=seed,
+        calibrations=calibrations,
+    )
     outcomes = list(mapper(attempt, combinations(range(series.n_views), 2)))
     failures = [str(outcome) for outcome in outcomes if isinstance(outcome, SemscapeError)]
     found = [outcome for outcome in outcomes if not isinstance(outcome, SemscapeError)]
     return tuple(matches for matches, _ in found), tuple(geometry for _, geometry in found), failures
+
+
+def _attempt(
+    pair: Pair,
+    *,
+    keypoints: tuple[Keypoints, ...],
+    names: tuple[str, ...],
+    shape: tuple[int, int],
+    options: Options,
+    seed: int,
+    calibrations: list[FloatArray] | None,
+) -> tuple[Matches, TwoViewGeometry] | SemscapeError:
+    try:
+        rng = _stream(seed, "match", *pair)
+        pinhole = (calibrations[pair[0]], calibrations[pair[1]]) if calibrations else None
+        return match_pair(pair, keypoints, names, shape, options.features, options.robust, rng, pinhole)
+    except SemscapeError as error:
+        return error
 
 
 def _connected(
@@ -211,6 +240,26 @@ def _connected(
     return series, tuple(keypoints[i] for i in kept), *renumber(matches, geometries, kept)
 
 
+def _calibrated(
+    series: TiltSeries, matched: _Matched, options: Options, seed: int
+) -> tuple[Calibration, tuple[int, ...], tuple[str, ...]]:
+    """Return the calibration, the views that do not fit, each counted among those left before it, and failures."""
+    observations = build_tracks(*matched)
+    failed: tuple[str, ...] = ()
+    if options.sfm.method == "thesis":
+        calibration, thesis = thesis_calibration(series, observations, options.sfm, rng=_stream(seed, "thesis"))
+        failed = thesis.failures
+    else:
+        calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
+    misfits = []
+    while (misfit := _misfit(series, observations, calibration, options, seed)) is not None:
+        misfits.append(misfit)
+        series, matched = _without_misfit(series, matched, misfit)
+        observations = build_tracks(*matched)
+        calibration = calibrate(series, observations, options.sfm, rng=_stream(seed, "evolve"))
+    return calibration, tuple(misfits), failed
+
+
 def _misfit(
     series: TiltSeries, observations: Observations, calibration: Calibration, options: Options, seed: int
 ) -> int | None:
@@ -220,13 +269,14 @@ def _misfit(
     return misfitting_view(series, observations, found.observations, found.residual_px, options.sfm, rng=rng)
 
 
-def _without_misfit(series: TiltSeries, misfit: int) -> tuple[TiltSeries, tuple[int, ...]]:
+def _without_misfit(series: TiltSeries, matched: _Matched, misfit: int) -> tuple[TiltSeries, _Matched]:
     kept = tuple(index for index in range(series.n_views) if index != misfit)
     why = (
         f"left out, because it does not fit the motion of the others: {series.names[misfit]} (moved or charged "
         "specimen, another stage rotation or magnification?)"
     )
-    return series.select(kept, why), kept
+    keypoints, matches, geometries = matched
+    return series.select(kept, why), (tuple(keypoints[i] for i in kept), *renumber(matches, geometries, kept))
 
 
 def _stream(seed: int, stage: str, *indices: int) -> np.random.Generator:
@@ -253,11 +303,13 @@ class _Stage:
     def __enter__(self) -> dict[str, Any]:
         if self._progress:
             self._progress(self._name, None)
+        self._memory = PeakMemory()
         self._start = time.perf_counter()
         return self._figures
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
-            self._done.append(StageReport(self._name, time.perf_counter() - self._start, self._figures))
+            seconds = time.perf_counter() - self._start
+            self._done.append(StageReport(self._name, seconds, self._figures, self._memory.peak_mb()))
             if self._progress:
                 self._progress(self._name, self._figures)

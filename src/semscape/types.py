@@ -348,11 +348,12 @@ class SimulationTruth(_Value):
 
 @dataclass(frozen=True, eq=False)
 class StageReport(_Value):
-    """One stage of a run: its name, wall seconds and figures (plain JSON values)."""
+    """One stage of a run: its name, wall seconds, figures (plain JSON values) and the process's peak memory in it."""
 
     name: str
     seconds: float
     figures: Mapping[str, Any] = field(default_factory=dict)
+    peak_memory_mb: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,6 @@ a default of its own: a flag that is not given leaves the value to the options f
 from semscape.cli.application import app, main
 
 # Importing a module of commands adds them to the application, in this order.
-from semscape.cli import surface, measured, simulated, keypoints, learning  # isort: skip
+from semscape.cli import surface, many, measured, simulated, keypoints, learning  # isort: skip
 
-__all__ = ["app", "keypoints", "learning", "main", "measured", "simulated", "surface"]
+__all__ = ["app", "keypoints", "learning", "main", "many", "measured", "simulated", "surface"]

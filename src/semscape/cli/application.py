@@ -39,6 +39,7 @@ SeedOption = Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed o
 WorkersOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="Number of threads; it changes no result.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show log and traceback.")]
+LogJsonOption = Annotated[bool, typer.Option("--log-json", help="Log as lines of JSON on stderr, and no other lines.")]
 
 
 def main() -> None:

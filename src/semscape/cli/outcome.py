@@ -1,19 +1,23 @@
-"""Where a command's words go, and what becomes of an error: one message and an exit code."""
+"""What every command does about what goes wrong: one message, one exit code, the log where it is wanted."""
 
 from __future__ import annotations
 
 import logging
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from semscape.errors import BadInputError, SemscapeError
+from semscape.errors import verdict_of
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+_INTERRUPTED, _TERMINATED = 130, 143
 
 
 def console(*, err: bool = False) -> Console:
@@ -25,40 +29,55 @@ def console(*, err: bool = False) -> Console:
     return Console(stderr=err, highlight=False, width=None if stream.isatty() else 160)
 
 
+class Terminated(KeyboardInterrupt):
+    """The system asks the process to end (SIGTERM): it ends as with Ctrl-C."""
+
+
 @contextmanager
-def exit_codes(*, debug: bool, quiet: bool) -> Iterator[None]:
+def exit_codes(*, debug: bool, quiet: bool, log_json: bool = False) -> Iterator[None]:
     """Turn what goes wrong into one message on stderr and an exit code; with `debug` let the traceback through."""
-    logging.basicConfig(
-        level=logging.DEBUG if debug else logging.ERROR if quiet else logging.WARNING, format="%(name)s: %(message)s"
-    )
-    for talkative in ("matplotlib", "PIL", "numba", "trimesh", "tifffile"):
-        logging.getLogger(talkative).setLevel(logging.ERROR)
+    _start_log(debug=debug, quiet=quiet, log_json=log_json)
+    before = _on_termination()
     try:
         yield
     except typer.Exit:
         raise
-    except KeyboardInterrupt:
-        typer.echo("interrupted", err=True)
-        raise typer.Exit(130) from None
+    except KeyboardInterrupt as stop:
+        typer.echo("interrupted; what is finished is kept: run the same command again to go on", err=True)
+        raise typer.Exit(_TERMINATED if isinstance(stop, Terminated) else _INTERRUPTED) from None
     except Exception as error:  # noqa: BLE001 (the last resort: a message and an exit code for whatever it is)
         if debug:
             import traceback
 
             traceback.print_exc()
-        code, message = _verdict(error)
+        code, message = verdict_of(error)
         typer.echo(f"semscape: error: {message}", err=True)
         raise typer.Exit(code) from None
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
 
 
-def _verdict(error: Exception) -> tuple[int, str]:
-    """Return the exit code and the message for an exception."""
-    linear_algebra = sys.modules.get("numpy.linalg")
-    is_numerical = linear_algebra is not None and isinstance(error, linear_algebra.LinAlgError)
-    if isinstance(error, BadInputError):
-        return 2, str(error)
-    if isinstance(error, SemscapeError):
-        return 3, str(error)
-    if isinstance(error, ValueError) and not is_numerical:
-        return 2, str(error)
-    detail = " ".join(str(error).split())
-    return 1, f"unexpected {type(error).__name__}{': ' if detail else ''}{detail}; run again with --debug"
+def _start_log(*, debug: bool, quiet: bool, log_json: bool) -> None:
+    level = logging.DEBUG if debug else logging.INFO if log_json else logging.ERROR if quiet else logging.WARNING
+    if log_json:
+        from semscape.log_lines import JsonLines
+
+        handler = logging.StreamHandler()
+        handler.setFormatter(JsonLines())
+        logging.basicConfig(level=level, handlers=[handler], force=True)
+    else:
+        logging.basicConfig(level=level, format="%(name)s: %(message)s")
+    for talkative in ("matplotlib", "PIL", "numba", "trimesh", "tifffile"):
+        logging.getLogger(talkative).setLevel(logging.ERROR)
+
+
+def _on_termination() -> Any:
+    """Make SIGTERM end the process as Ctrl-C does; return what was there before, None outside the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        return None
+
+    def stop(*_: object) -> None:
+        raise Terminated
+
+    return signal.signal(signal.SIGTERM, stop)

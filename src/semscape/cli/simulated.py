@@ -81,7 +81,7 @@ def demo(
             typer.echo(f"simulating a tilt series in {folder / 'images'}", err=True)
         simulate_into(folder / "images", None, None, seed)
         options = effective_options(None, None, None, None, None, seed, None)
-        run_into(folder / "images", folder / "run", options, workers=workers, quiet=quiet)
+        run_into(folder / "images", folder / "run", options, workers=workers, quiet=quiet, lines=not quiet)
 
 
 @app.command(short_help="Compare a run with the truth of its simulated series.")

@@ -11,6 +11,7 @@ from semscape.cli.application import (
     AxisOption,
     DebugOption,
     FolderArgument,
+    LogJsonOption,
     OptionsOption,
     PixelSizeOption,
     QuietOption,
@@ -45,14 +46,15 @@ def reconstruct(
         typer.Option("--invert-relief/--keep-relief", help="Mirror a relief whose sign nothing but shading fixed."),
     ] = None,
     quiet: QuietOption = False,
+    log_json: LogJsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Reconstruct the surface from a folder of tilted images and write a run folder."""
-    with exit_codes(debug=debug, quiet=quiet):
+    with exit_codes(debug=debug, quiet=quiet, log_json=log_json):
         options = effective_options(
             options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um
         )
-        run_into(folder, output, options, workers=workers, quiet=quiet)
+        run_into(folder, output, options, workers=workers, quiet=quiet, lines=not (quiet or log_json))
 
 
 @app.command(short_help="Show what is understood of a folder of images.")
@@ -86,27 +88,18 @@ def inspect(
             typer.echo(f"{path} holds what was understood, as comments; edit it to override anything", err=True)
 
 
-def run_into(folder: Path, output: Path, options: Options, *, workers: int | None, quiet: bool) -> None:
+def run_into(folder: Path, output: Path, options: Options, *, workers: int | None, quiet: bool, lines: bool) -> None:
     """Reconstruct a folder of images into a run folder, with progress on stderr and the summary on stdout."""
-    from semscape.io.run_folder import prepare_run_folder
-    from semscape.io.series import load_series
+    from semscape.batch.folder_run import reconstruct_folder
     from semscape.report.console import StageLines, print_line, print_summary
 
-    series = load_series(folder, options.input)
-    prepare_run_folder(output)
-
-    from semscape.pipeline import reconstruct as reconstruct_series
-    from semscape.report.run import write_run
-
-    given = {} if workers is None else {"workers": workers}
-    with StageLines(console(err=True), quiet=quiet, unit=series.length_unit) as progress:
-        result = reconstruct_series(series, options, rng=options.run.seed, progress=progress, **given)
-        progress("report", None)
-        write_run(result, output)
-        progress("report", {})
+    with StageLines(console(err=True), quiet=not lines) as progress:
+        result = reconstruct_folder(
+            folder, output, options, workers=workers, progress=progress, on_series=progress.take_unit_of
+        )
     if quiet:
         return
-    for warning in (*result.report.failures, *result.report.warnings):
+    for warning in (*result.report.failures, *result.report.warnings) if lines else ():
         print_line(f"warning: {warning}", console(err=True), "yellow")
     print_summary(result, console())
     print_line(f"report: {output / 'report.html'}", console())

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from semscape.errors import BadInputError
+from semscape.io.run_folder import refuse_newer_format
 from semscape.io.surfaces import read_height_map
 from semscape.options import InputOptions, read_toml
 from semscape.types import FloatArray, HeightMap, Motion
@@ -47,6 +48,7 @@ def read_finished_run(path: Path | str) -> FinishedRun:
         raise BadInputError(f"{path} does not exist; give the run folder that semscape reconstruct wrote")
     if not (path / "height_map.npz").is_file():
         raise BadInputError(f"{path} is not a run folder: it holds no height_map.npz")
+    refuse_newer_format(path)
     reconstruction = _read_json(path / "reconstruction.json")
     report = _read_json(path / "report.json")
     return FinishedRun(

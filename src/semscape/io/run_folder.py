@@ -38,6 +38,12 @@ RUN_FILES = (
 )
 """Every file of a run folder, in the order they are put in place; report.json is the last."""
 
+WORK_NAME = ".semscape-work"
+"""Hidden folder in a run folder: what an interrupted run has finished (see `semscape.io.work_folder`)."""
+
+RUN_FORMAT = 1
+"""Version of the run folder's contract; it grows where a reader of the version before would misread a folder."""
+
 _PARTIAL_PREFIX = ".semscape-partial-"
 
 
@@ -56,24 +62,58 @@ def prepare_run_folder(folder: Path | str) -> Path:
     BadInputError
         If the folder is a file, holds something else than a run, or cannot be written.
     """
-    path = Path(folder)
+    path = make_folder(folder)
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        entries = {entry.name for entry in path.iterdir() if not entry.name.startswith(".")}
-        if entries and not {"report.json", "reconstruction.json", "options.toml"} <= entries:
+        entries = {entry.name for entry in path.iterdir()}
+        visible = {name for name in entries if not name.startswith(".")}
+        complete = {"report.json", "reconstruction.json", "options.toml"} <= visible
+        foreign = visible - ({*RUN_FILES} if WORK_NAME in entries else set())
+        if foreign and not complete:
             raise BadInputError(
                 f"the output folder {path} is not empty and is not an earlier run of semscape (it holds "
-                f"{min(entries)!r}); give a new or empty folder"
+                f"{min(foreign)!r}); give a new or empty folder"
             )
+        refuse_newer_format(path)
         for name in RUN_FILES:
             if (path / name).is_dir():
                 raise BadInputError(f"the output folder {path} cannot be written: {name} in it is a folder")
         shutil.rmtree(_make_partial(path))
-    except (FileExistsError, NotADirectoryError) as error:
-        raise BadInputError(f"the output folder {path} cannot be made: a file stands in its place") from error
     except OSError as error:
         raise BadInputError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
     return path
+
+
+def make_folder(folder: Path | str) -> Path:
+    """Make an output folder with its parents, where it does not exist.
+
+    Raises
+    ------
+    BadInputError
+        If a file stands in its place, or nothing can be written there.
+    """
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise BadInputError(f"the output folder {path} cannot be made: a file stands in its place") from error
+    except (OSError, ValueError) as error:
+        reason = error.strerror or error if isinstance(error, OSError) else error
+        raise BadInputError(f"the output folder {path} cannot be written: {reason}") from error
+    return path
+
+
+def refuse_newer_format(folder: Path) -> None:
+    """Raise `BadInputError` for a run folder that a newer semscape wrote, whose files this one would misread."""
+    try:
+        report = json.loads((folder / "report.json").read_bytes())
+        told = report.get("format", RUN_FORMAT)
+    except (OSError, ValueError, AttributeError, RecursionError):
+        return
+    if isinstance(told, int) and told > RUN_FORMAT:
+        raise BadInputError(
+            f"{folder} was written by a newer semscape (format {told}; this one knows {RUN_FORMAT}): update "
+            "semscape, or give another folder"
+        )
 
 
 def encode_run(result: Result) -> dict[str, bytes]:

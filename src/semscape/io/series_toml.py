@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -55,7 +56,7 @@ OVERRIDES = {
     ),
     "dynamic_focus": _Key("dynamic_focus", 1.0, lambda value: value in (0.0, 1.0), "be true or false"),
     "data_bar_rows": _Key(
-        "data_bar_rows", 1.0, lambda value: value >= 0 and value == int(value), "be a whole number, 0 for none"
+        "data_bar_rows", 1.0, lambda value: value >= 0 and value.is_integer(), "be a whole number, 0 for none"
     ),
 }
 _SERIES_KEYS = ("tilts_deg", "axis_deg", "scale_bar_um", *OVERRIDES, "images")
@@ -89,7 +90,7 @@ def read_series_toml(path: Path, names: Sequence[str]) -> SeriesToml:
         return SeriesToml()
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, not TOML, 5000 digits
         raise BadInputError(f"{path}: cannot be read as TOML ({error}); it may hold tilts_deg = [-5, 0, 5]") from error
     _require_known(path, values, _SERIES_KEYS)
     tilts = values.get("tilts_deg", [])
@@ -159,4 +160,6 @@ def _with_unit(key: str, value: float) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(value, int):  # TOML's integers may be larger than any float
+        return not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    return isinstance(value, float)

@@ -42,6 +42,10 @@ class StageLines:
         self._status: Status | None = None
         self._started = time.perf_counter()
 
+    def take_unit_of(self, series: TiltSeries) -> None:
+        """Take note of the unit of the series' lengths, once it is read."""
+        self._unit = series.length_unit
+
     def __enter__(self) -> StageLines:
         return self
 

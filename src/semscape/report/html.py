@@ -252,14 +252,17 @@ def _run(report: Mapping[str, Any], unit: LengthUnit) -> str:
         figures = " · ".join(
             f"{escape(label(key))} {escape(value_text(key, value, unit))}" for key, value in stage["figures"].items()
         )
+        memory = stage["peak_memory_mb"]
         rows += (
             f'<tr><th scope="row">{escape(stage["name"])}</th><td class="num">{seconds:.2f}</td>'
+            f'<td class="num">{"–" if memory is None else number(round(memory))}</td>'
             f'<td class="bar"><span style="width:{100 * seconds / longest:.1f}%"></span></td><td>{figures}</td></tr>'
         )
     memory = report["peak_memory_mb"]
     peak = "" if memory is None else f" · peak memory {number(round(memory))} MB"
     return (
         '<section><h2>Stages</h2><div class="scroll"><table><thead><tr><th>Stage</th><th class="num">Seconds</th>'
+        f'<th class="num">Peak (MB)</th>'
         f"<th></th><th>Figures</th></tr></thead><tbody>{rows}</tbody></table></div>"
         f'<p class="quiet">{total:.1f} s in all{peak}</p></section>'
     )

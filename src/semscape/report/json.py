@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from semscape.io.run_folder import plain_json, reconstruction_to_dict
+from semscape.io.run_folder import RUN_FORMAT, plain_json, reconstruction_to_dict
 from semscape.report.wording import ambiguity_text, height_scale_text
 from semscape.types import Result
 
@@ -19,6 +19,7 @@ def report_to_dict(result: Result) -> dict[str, Any]:
     # The matrices stand in reconstruction.json; the report is the readable part.
     views = [{key: value for key, value in view.items() if key not in ("R", "t_px")} for view in calibration["views"]]
     values: dict[str, Any] = {
+        "format": RUN_FORMAT,
         "verdict": report.verdict,
         "warnings": report.warnings,
         "failures": report.failures,
@@ -35,7 +36,10 @@ def report_to_dict(result: Result) -> dict[str, Any]:
         "reference_view": calibration["reference_view"],
         "views": views,
         "pairs": report.pairs,
-        "stages": [{"name": stage.name, "seconds": stage.seconds, "figures": stage.figures} for stage in report.stages],
+        "stages": [
+            {"name": s.name, "seconds": s.seconds, "peak_memory_mb": s.peak_memory_mb, "figures": s.figures}
+            for s in report.stages
+        ],
         "peak_memory_mb": report.peak_memory_mb,
         "inputs": report.inputs,
         "options": report.options,

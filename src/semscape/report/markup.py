@@ -30,11 +30,15 @@ def figure(png: bytes, title: str, caption: str) -> str:
 
     The caption stands above: so those of pictures side by side are level, whatever the pictures' heights.
     """
-    data = base64.b64encode(png).decode("ascii")
     return (
         f"<figure><figcaption><b>{escape(title)}.</b> {escape(caption)}</figcaption>"
-        f'<img src="data:image/png;base64,{data}" alt="{escape(title)}"></figure>'
+        f'<img src="{picture_data(png)}" alt="{escape(title)}"></figure>'
     )
+
+
+def picture_data(png: bytes) -> str:
+    """Return a PNG as the address of an image inside the page."""
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

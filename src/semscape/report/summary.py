@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-import sys
 from typing import Any
 
 import numpy as np
 
 from semscape.options import Options
+from semscape.report.memory import peak_memory_mb
 from semscape.report.wording import Z_95
 from semscape.types import (
     HeightMap,
@@ -53,7 +53,7 @@ def build_report(
         warnings=(*series.warnings, *reconstruction.contradictions, *reconstruction.warnings),
         failures=failures,
         verdict=_verdict(reconstruction, metrics),
-        peak_memory_mb=peak_memory_mb(),
+        peak_memory_mb=_peak_memory_mb(stages),
     )
 
 
@@ -82,16 +82,6 @@ def pair_figures(
         }
         for found, geometry in zip(matches, geometries, strict=True)
     )
-
-
-def peak_memory_mb() -> float:
-    """Return the most memory that this process has held so far, in MB; NaN where the system does not tell."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return float("nan")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 def _metrics(
@@ -139,6 +129,12 @@ def _verdict(reconstruction: Reconstruction, metrics: dict[str, Any]) -> str:
     if scale > _GOOD_HEIGHT_SCALE or reconstruction.rms_px > _GOOD_RMS_PX:
         return f"usable: heights to +-{scale:.1%} (95 %), residual {reconstruction.rms_px:.2f} px rms"
     return f"good: heights to +-{scale:.1%} (95 %), residual {reconstruction.rms_px:.2f} px rms"
+
+
+def _peak_memory_mb(stages: tuple[StageReport, ...]) -> float:
+    """Return the most memory in any stage: a process that serves many runs has a peak of its own, not the run's."""
+    known = [stage.peak_memory_mb for stage in stages if np.isfinite(stage.peak_memory_mb)]
+    return max(known) if known else peak_memory_mb()
 
 
 def _inputs(series: TiltSeries, keypoints: tuple[Keypoints, ...]) -> tuple[dict[str, Any], ...]:

@@ -1,4 +1,4 @@
-"""The executor: run independent tasks side by side on this machine."""
+"""Threads of this process: run independent tasks of one specimen side by side."""
 
 from __future__ import annotations
 

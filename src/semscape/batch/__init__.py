@@ -1,0 +1,1 @@
+"""Many specimens: run each, lose none, and go on where a batch was interrupted."""

@@ -1,0 +1,45 @@
+"""The most memory that this process has held: in all, and since a moment."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from pathlib import Path
+
+_STATUS = Path("/proc/self/status")
+_CLEAR = Path("/proc/self/clear_refs")
+_RESET_PEAK = "5"
+_highest_mb = 0.0
+
+
+class PeakMemory:
+    """The most memory since this object was made; on Linux alone, where the system's mark can be set back."""
+
+    def __init__(self) -> None:
+        global _highest_mb
+        _highest_mb = peak_memory_mb()  # before the mark goes
+        try:
+            _CLEAR.write_text(_RESET_PEAK)
+            self._known = True
+        except OSError:
+            self._known = False
+
+    def peak_mb(self) -> float:
+        """Return the peak in MB; NaN where the system does not tell."""
+        return _mark_mb() if self._known else math.nan
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process has held so far, in MB; NaN where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return math.nan
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return max(_highest_mb, peak / (1e6 if sys.platform == "darwin" else 1e3))
+
+
+def _mark_mb() -> float:
+    found = re.search(r"^VmHWM:\s*(\d+) kB", _STATUS.read_text(encoding="ascii", errors="replace"), re.MULTILINE)
+    return int(found[1]) / 1e3 if found else math.nan

@@ -1,0 +1,49 @@
+"""Tasks that a worker process imports by name."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from semscape.cluster import tell
+
+
+def square(x: int) -> int:
+    if x < 0:
+        raise ValueError(f"{x} is negative")
+    return x * x
+
+
+def nothing(_: int) -> None:
+    return None
+
+
+def thread_limits(_: int) -> list[str | None]:
+    return [os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")]
+
+
+def die_once(marker: str) -> int:
+    """Kill this process, but not if it has been killed for this marker before."""
+    tell("surface")
+    if not Path(marker).exists():
+        Path(marker).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+
+
+def die(_: int) -> None:
+    tell("surface")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def sleep(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def fill(n_bytes: int) -> int:
+    return len(np.ones(n_bytes, np.uint8))

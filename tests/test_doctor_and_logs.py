@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from semscape import doctor
+from semscape.cli import app
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    done = CliRunner().invoke(
+        app, ["simulate", "-o", str(tmp_path / "images"), "--tilts", "-6,0,6", "--size", "128", "-q"]
+    )
+    assert done.exit_code == 0
+    return tmp_path / "images"
+
+
+def test_log_json_is_lines_of_json_alone(images: Path, tmp_path: Path) -> None:
+    import os
+    import subprocess
+    import sys
+
+    command = [sys.executable, "-m", "semscape", "reconstruct", images, "-o", tmp_path / "run", "--log-json"]
+    command += ["--set", "sfm.de_generations=10", "--set", "dense.max_pairs=1"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stderr.splitlines()]
+    ended = [line["stage"] for line in lines if line["message"].endswith(" ended")]
+    assert ended == ["detect", "match", "calibrate", "surface", "mesh", "report"]
+    assert {"time", "level", "logger", "message"} <= set(lines[0])
+    kept = [json.loads(line) for line in (tmp_path / "run" / "run.log").read_text(encoding="utf-8").splitlines()]
+    took = {line["stage"]: line for line in kept if "seconds" in line}
+    assert list(took) == ["detect", "match", "calibrate", "surface", "mesh"]
+    assert all(line["peak_memory_mb"] > 50 for line in took.values())
+
+
+def test_the_doctor_finds_this_installation_well() -> None:
+    done = CliRunner().invoke(app, ["doctor"])
+    assert done.exit_code == 0, done.output
+    for word in ("python:", "numpy:", "cores:", "memory:", "BLAS:", "extra cluster:", "result:        good"):
+        assert word in done.output
+
+
+def test_the_doctor_says_so_when_results_are_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "self_test", lambda: 0.3)
+    done = CliRunner().invoke(app, ["doctor"])
+    assert done.exit_code == 1
+    assert "WRONG, median height error 30.0 %" in done.output
