@@ -41,6 +41,7 @@ _RANGES = {
     "features.contrast_threshold": _POSITIVE,
     "features.normalization_sigma_px": _POSITIVE,
     "features.max_keypoints": _Range(100),
+    "features.pair_reach": _Range(0),
     "features.ratio": _Range(0, 1, above=True),
     "robust.max_trials": _Range(10),
     "robust.min_inliers": _Range(8),
@@ -93,6 +94,7 @@ class FeaturesOptions(_Stage):
 
     Where there are more than `max_keypoints`, the strongest are kept, or with `spread` those that are the
     strongest within the largest radius about them. `guided` adds a second pass along the epipolar lines.
+    `pair_reach` matches each view with so many next ones in tilt, and with some far ones for loops; 0 is all pairs.
     """
 
     detector: str = "sift"
@@ -102,6 +104,7 @@ class FeaturesOptions(_Stage):
     spread: bool = False
     ratio: float = 0.8
     guided: bool = True
+    pair_reach: int = 0
 
 
 @dataclass(frozen=True)
