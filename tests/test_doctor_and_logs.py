@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,15 +22,15 @@ def images(tmp_path: Path) -> Path:
     return tmp_path / "images"
 
 
-def test_log_json_is_lines_of_json_alone(images: Path, tmp_path: Path) -> None:
-    import os
-    import subprocess
-    import sys
-
-    command = [sys.executable, "-m", "semscape", "reconstruct", images, "-o", tmp_path / "run", "--log-json"]
+def reconstruct_in_process(images: Path, output: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "semscape", "reconstruct", images, "-o", output, *arguments]
     command += ["--set", "sfm.de_generations=10", "--set", "dense.max_pairs=1"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+
+
+def test_log_json_is_lines_of_json_alone(images: Path, tmp_path: Path) -> None:
+    done = reconstruct_in_process(images, tmp_path / "run", "--log-json")
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stderr.splitlines()]
     ended = [line["stage"] for line in lines if line["message"].endswith(" ended")]
@@ -37,6 +40,13 @@ def test_log_json_is_lines_of_json_alone(images: Path, tmp_path: Path) -> None:
     took = {line["stage"]: line for line in kept if "seconds" in line}
     assert list(took) == ["detect", "match", "calibrate", "surface", "mesh"]
     assert all(line["peak_memory_mb"] > 50 for line in took.values())
+
+
+def test_the_log_of_a_run_is_not_shown(images: Path, tmp_path: Path) -> None:
+    done = reconstruct_in_process(images, tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    assert "semscape.run: stage" not in done.stderr
+    assert "\nmatch: " in done.stderr
 
 
 def test_the_doctor_finds_this_installation_well() -> None:

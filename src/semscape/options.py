@@ -41,6 +41,7 @@ _RANGES = {
     "features.contrast_threshold": _POSITIVE,
     "features.normalization_sigma_px": _POSITIVE,
     "features.max_keypoints": _Range(100),
+    "features.pair_reach": _Range(0),
     "features.ratio": _Range(0, 1, above=True),
     "features.significance_keep": _Range(0, 1, above=True),
     "features.significance_threshold": _Range(0, 1),
@@ -104,6 +105,7 @@ class FeaturesOptions(_Stage):
 
     Where there are more than `max_keypoints`, the strongest are kept, or with `spread` those that are the
     strongest within the largest radius about them. `guided` adds a second pass along the epipolar lines.
+    `pair_reach` matches each view with so many next ones in tilt, and with some far ones for loops; 0 is all pairs.
 
     `significance_keep` is the share of each image's keypoints that are matched, chosen by `significance_by`: a trained
     model, the response or the scale; with the model none below the probability `significance_threshold`.
@@ -117,6 +119,7 @@ class FeaturesOptions(_Stage):
     spread: bool = False
     ratio: float = 0.8
     guided: bool = False
+    pair_reach: int = 0
     significance_keep: float = 1.0
     significance_threshold: float = 0.0
     significance_by: str = "model"

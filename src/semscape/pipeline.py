@@ -192,10 +192,36 @@ def _match_all(
         seed=seed,
         calibrations=calibrations,
     )
-    outcomes = list(mapper(attempt, combinations(range(series.n_views), 2)))
+    outcomes = list(mapper(attempt, pairs_to_match(series.n_views, options.features.pair_reach)))
     failures = [str(outcome) for outcome in outcomes if isinstance(outcome, SemscapeError)]
     found = [outcome for outcome in outcomes if not isinstance(outcome, SemscapeError)]
     return tuple(matches for matches, _ in found), tuple(geometry for _, geometry in found), failures
+
+
+def pairs_to_match(n_views: int, reach: int) -> list[Pair]:
+    """Return the pairs (i1, i2) of views to match: all, or neighbours in tilt with loops.
+
+    Parameters
+    ----------
+    n_views : int
+        Number of views, in the order of their tilts.
+    reach : int
+        Each view is matched with this many next ones, and with those at 2, 4, 8, ... times that distance, which
+        close loops and keep errors from adding up along the series; 0 gives all pairs.
+
+    Examples
+    --------
+    >>> pairs_to_match(4, 1)
+    [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]
+    """
+    if reach == 0:
+        return list(combinations(range(n_views), 2))
+    distances = set(range(1, reach + 1))
+    distance = 2 * reach
+    while distance < n_views:
+        distances.add(distance)
+        distance *= 2
+    return [(i1, i2) for i1, i2 in combinations(range(n_views), 2) if i2 - i1 in distances]
 
 
 def _attempt(

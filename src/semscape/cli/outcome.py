@@ -60,14 +60,14 @@ def exit_codes(*, debug: bool, quiet: bool, log_json: bool = False) -> Iterator[
 
 def _start_log(*, debug: bool, quiet: bool, log_json: bool) -> None:
     level = logging.DEBUG if debug else logging.INFO if log_json else logging.ERROR if quiet else logging.WARNING
+    handler = logging.StreamHandler()
+    handler.setLevel(level)  # its own, for the log that a run keeps lets more through than is shown
+    handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
     if log_json:
         from semscape.log_lines import JsonLines
 
-        handler = logging.StreamHandler()
         handler.setFormatter(JsonLines())
-        logging.basicConfig(level=level, handlers=[handler], force=True)
-    else:
-        logging.basicConfig(level=level, format="%(name)s: %(message)s")
+    logging.basicConfig(level=level, handlers=[handler], force=log_json)
     for talkative in ("matplotlib", "PIL", "numba", "trimesh", "tifffile"):
         logging.getLogger(talkative).setLevel(logging.ERROR)
 

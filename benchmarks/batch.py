@@ -1,0 +1,127 @@
+"""What a batch costs: specimens per hour with 1 and 2 workers, overhead per specimen, 10,000 tasks that do nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from isolated import Case, run_cases
+from semscape.batch.manifest import find_specimens
+from semscape.batch.record import Ending
+from semscape.batch.run import run_batch
+from semscape.cluster import Placement, open_executor
+from semscape.cluster.processes import worker_environment
+from semscape.io.simulated import write_simulated_series
+from semscape.options import Options
+from semscape.simulate import SimulationOptions, simulate
+
+_MICROSCOPE = SimulationOptions(tilts_deg=(-6.0, 0.0, 6.0), width_px=256, height_px=256)
+_N_SPECIMENS = 16
+_N_EMPTY = 10_000
+
+
+class _Nobody:
+    def event(self, name: str, stage: str) -> None:
+        pass
+
+    def ended(self, ending: Ending) -> None:
+        pass
+
+
+def throughput() -> dict[str, Any]:
+    """Run the same specimens with one worker and with two, each after a first round that loads the code."""
+    rows: dict[str, Any] = {"cores": os.cpu_count(), "n_specimens": _N_SPECIMENS}
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / "set"
+        for i in range(_N_SPECIMENS):
+            write_simulated_series(root / f"s{i:02}", *simulate("fracture", _MICROSCOPE, rng=i))
+        for workers in (1, 2):
+            output = Path(folder) / f"out{workers}"
+            with open_executor(Placement(workers=workers, threads=1)) as executor:
+                warm = find_specimens(root, output)[:workers]
+                run_batch(warm, Path(folder) / f"warm{workers}", Options(), executor, _Nobody())
+                start = time.perf_counter()
+                endings = run_batch(find_specimens(root, output), output, Options(), executor, _Nobody())
+                seconds = time.perf_counter() - start
+                start = time.perf_counter()
+                run_batch(find_specimens(root, output), output, Options(), executor, _Nobody())
+                kept = time.perf_counter() - start
+            busy = sum(ending.record.seconds for ending in endings)
+            staged = sum(sum(ending.record.report["stages"].values()) for ending in endings)
+            rows[f"workers_{workers}"] = {
+                "specimens_per_hour": round(3600 * _N_SPECIMENS / seconds),
+                "seconds_per_specimen": round(busy / _N_SPECIMENS, 3),
+                "stage_seconds_per_specimen": round(staged / _N_SPECIMENS, 3),
+                "executor_ms_per_specimen": round(1000 * (workers * seconds - busy) / _N_SPECIMENS, 1),
+                "kept_ms_per_specimen": round(1000 * kept / _N_SPECIMENS, 1),
+                "bytes_sent_per_specimen": round(sum(ending.n_bytes for ending in endings) / _N_SPECIMENS),
+            }
+    rows["speedup_of_2_workers"] = round(
+        rows["workers_2"]["specimens_per_hour"] / rows["workers_1"]["specimens_per_hour"], 2
+    )
+    return rows
+
+
+def empty_tasks_on_processes() -> dict[str, Any]:
+    """Time 10,000 tasks that do nothing on two local processes."""
+    with open_executor(Placement(workers=2, threads=1)) as executor:
+        return _empty_tasks(executor)
+
+
+def empty_tasks_on_dask() -> dict[str, Any]:
+    """Time 10,000 tasks that do nothing on a Dask scheduler with two workers."""
+    with _dask() as address, open_executor(Placement(scheduler=address)) as executor:
+        return _empty_tasks(executor)
+
+
+def _empty_tasks(executor: Any) -> dict[str, Any]:
+    list(executor.run(abs, range(executor.workers)))
+    start = time.perf_counter()
+    n_done = sum(outcome.error is None for outcome in executor.run(abs, range(_N_EMPTY)))
+    seconds = time.perf_counter() - start
+    return {"n": n_done, "seconds": round(seconds, 2), "ms_per_task": round(1000 * seconds / _N_EMPTY, 3)}
+
+
+@contextlib.contextmanager
+def _dask() -> Iterator[str]:
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+        information = Path(folder) / "scheduler.json"
+
+        def start(*arguments: str) -> None:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", *arguments, "--no-dashboard", "--scheduler-file", str(information)],
+                stderr=subprocess.DEVNULL,
+                env=worker_environment(1),
+            )
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+
+        start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
+        for _ in range(2):
+            start("worker", "--nthreads", "1", "--no-nanny")
+        while not (information.exists() and information.stat().st_size):
+            time.sleep(0.1)
+        address = json.loads(information.read_text(encoding="utf-8"))["address"]
+        import distributed
+
+        with distributed.Client(address, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
+        yield address
+
+
+CASES: dict[str, Case] = {
+    "throughput": (throughput, ()),
+    "empty-tasks-on-processes": (empty_tasks_on_processes, ()),
+    "empty-tasks-on-dask": (empty_tasks_on_dask, ()),
+}
+
+if __name__ == "__main__":
+    run_cases(CASES, __doc__ or "")
