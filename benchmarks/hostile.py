@@ -1,7 +1,7 @@
 """Bad input at scale: every hostile folder or manifest must end in success or a SemscapeError, soon, in little memory.
 
 `python benchmarks/hostile.py [COUNT]` tries 2,000 of them (or COUNT) in worker processes and prints JSON; exit code 1
-where one ended in anything else, took more than 10 s, or held more than 1 GB.
+where one ended in anything else, took more than 10 s, or took more than 1 GB.
 """
 
 from __future__ import annotations
@@ -185,7 +185,8 @@ def try_case(number: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         maker(folder, random.Random(number))
-        memory, start = PeakMemory(), time.perf_counter()
+        memory = PeakMemory()
+        held_mb, start = memory.peak_mb(), time.perf_counter()
         try:
             if (folder / "MANIFEST.csv").exists():
                 options_of_rows(find_specimens(folder / "MANIFEST.csv", folder / "out"), Options())
@@ -204,13 +205,13 @@ def try_case(number: int) -> dict[str, Any]:
         "maker": maker.__name__,
         "ended": ended,
         "seconds": seconds,
-        "peak_mb": memory.peak_mb(),
+        "taken_mb": memory.peak_mb() - held_mb,  # what the process held before is not the input's doing
     }
 
 
 def is_fault(case: dict[str, Any]) -> bool:
     """Tell whether a case broke the promise."""
-    return case["ended"] not in ("good", "refused") or case["seconds"] > MOST_S or case["peak_mb"] > MOST_MB
+    return case["ended"] not in ("good", "refused") or case["seconds"] > MOST_S or case["taken_mb"] > MOST_MB
 
 
 def main() -> None:
@@ -234,7 +235,7 @@ def main() -> None:
         "ended": Counter(case["ended"] if case["ended"] in ("good", "refused") else "fault" for case in cases),
         "makers": Counter(case["maker"] for case in cases),
         "longest_s": max(case["seconds"] for case in cases),
-        "peak_mb": max(case["peak_mb"] for case in cases),
+        "taken_mb": max(case["taken_mb"] for case in cases),
         "faults": faults,
     }
     print(json.dumps(told, indent=1))

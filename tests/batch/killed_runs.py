@@ -19,7 +19,7 @@ from run_products import QUICK
 from semscape.batch.folder_run import reconstruct_folder
 from semscape.io.run_folder import RUN_FILES
 
-FOLDER, OUTPUT = Path(sys.argv[1]), Path(sys.argv[2])
+FOLDER, OUTPUT = (Path(argument) for argument in sys.argv[-2:])
 
 
 def kill_me() -> None:
@@ -57,22 +57,27 @@ def ended(child: int) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-reconstruct_folder(FOLDER, OUTPUT, QUICK, workers=1)
-shutil.rmtree(OUTPUT)
-for stage in ("detect", "match", "calibrate", "surface", "mesh", "report"):
-    assert ended(in_child(stage)) == -signal.SIGKILL, stage
-for count in (1, 4, len(RUN_FILES) - 1):
-    assert ended(in_child(renames=count)) == -signal.SIGKILL, count
+def main() -> None:
+    reconstruct_folder(FOLDER, OUTPUT, QUICK, workers=1)
+    shutil.rmtree(OUTPUT)
+    for stage in ("detect", "match", "calibrate", "surface", "mesh", "report"):
+        assert ended(in_child(stage)) == -signal.SIGKILL, stage
+    for count in (1, 4, len(RUN_FILES) - 1):
+        assert ended(in_child(renames=count)) == -signal.SIGKILL, count
 
-start = time.perf_counter()
-assert ended(in_child()) == 0
-assert ended(in_child()) == 0  # this one from the start, for the run before is complete
-seconds = time.perf_counter() - start
-moments = random.Random(5)
-n_killed = 0
-for _ in range(10):
-    child = in_child()
-    time.sleep(moments.uniform(0.0, 0.6 * seconds))
-    os.kill(child, signal.SIGKILL)
-    n_killed += ended(child) == -signal.SIGKILL
-assert n_killed >= 5, n_killed
+    start = time.perf_counter()
+    assert ended(in_child()) == 0
+    assert ended(in_child()) == 0  # this one from the start, for the run before is complete
+    seconds = time.perf_counter() - start
+    moments = random.Random(5)
+    n_killed = 0
+    for _ in range(10):
+        child = in_child()
+        time.sleep(moments.uniform(0.0, 0.6 * seconds))
+        os.kill(child, signal.SIGKILL)
+        n_killed += ended(child) == -signal.SIGKILL
+    assert n_killed >= 5, n_killed
+
+
+if __name__ == "__main__":
+    main()

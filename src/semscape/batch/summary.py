@@ -14,7 +14,7 @@ from urllib.parse import quote
 from semscape.batch.manifest import Specimen
 from semscape.batch.record import RECORDS_NAME, Ending, Record
 from semscape.io.run_folder import put_files
-from semscape.report.markup import page, picture_data
+from semscape.report.markup import page, picture_data, plus_minus
 from semscape.report.wording import UNIT_SIGNS, number
 
 _FIGURES = (
@@ -123,7 +123,7 @@ def _html_row(output: Path, specimen: Specimen, ending: Ending | None) -> str:
         return f'<tr><td></td><td>{escape(specimen.name)}</td><td class="quiet">waiting</td>{"<td></td>" * 5}</tr>'
     record = ending.record
     if record.state == "failed":
-        reason = f'<p class="verdict bad">failed: {escape(record.reason)}</p>'
+        reason = f'<p class="verdict bad">failed</p><p class="quiet">{escape(record.reason)}</p>'
         return (
             f"<tr><td></td><td>{escape(specimen.name)}</td><td>{reason}</td>{'<td></td>' * 4}"
             f'<td class="num">{number(record.seconds, 3)}</td></tr>'
@@ -144,7 +144,7 @@ def _html_row(output: Path, specimen: Specimen, ending: Ending | None) -> str:
     link = f'<a href="{quote(specimen.name)}/report.html">{escape(specimen.name)}</a>'
     return (
         f"<tr><td>{_thumbnail(output, record)}</td><td>{link}</td>"
-        f'<td><p class="verdict {style}">{escape(verdict)}</p></td>{cells}</tr>'
+        f'<td><p class="verdict {style}">{escape(plus_minus(verdict))}</p></td>{cells}</tr>'
     )
 
 
