@@ -74,15 +74,13 @@ def _take_pixel_size(fields: MetadataFields, width: int) -> None:
     bar_px, _ = fields.read("$$SM_MICRON_BAR", PLAIN)
     marker_um, _ = fields.read("$$SM_MICRON_MARKER", UM_PER_LENGTH)
     field_um = _first_length(fields, "$CM_FIELD_OF_VIEW")
-    magnification, _ = fields.read("$CM_MAG", TIMES)
     columns = stored_width or width
     if bar_px > 0 and marker_um > 0:
         fields.set("pixel_size_um", marker_um / bar_px, "$$SM_MICRON_MARKER / $$SM_MICRON_BAR")
     elif field_um > 0:
         fields.set("pixel_size_um", field_um / columns, "$CM_FIELD_OF_VIEW / width")
-    elif magnification > 0:
-        fields.set("pixel_size_um", _PHOTOGRAPH_UM / magnification / columns, "128 mm / $CM_MAG / width")
-        fields.warn("the pixel size follows from the magnification on a photograph 128 mm wide; check the scale bar")
+    else:
+        fields.take_pixel_size_of_photograph("$CM_MAG", _PHOTOGRAPH_UM, columns)
 
 
 def _first_length(fields: MetadataFields, key: str) -> float:
