@@ -266,7 +266,8 @@ def test_fei_ini_goes_before_its_xml_which_completes_it(tmp_path: Path) -> None:
 
 PHENOM_XML = """<FeiImage version="2.0"><databarHeight>24</databarHeight><databarFields>0</databarFields>
 <pixelWidth unit="nm">52.1</pixelWidth><pixelHeight unit="nm">52.1</pixelHeight>
-<instrument><type>DP-8</type><edition>G4 Phenom ProX</edition></instrument><workingDistance unit="mm">6.1</workingDistance>
+<instrument><type>DP-8</type><edition>G4 Phenom ProX</edition></instrument>
+<workingDistance unit="mm">6.1</workingDistance>
 <acquisition><scan><highVoltage unit="kV">-10</highVoltage></scan></acquisition>
 <multiStage><axis id="X" unit="um">3</axis><axis id="Tilt" unit="deg">7</axis></multiStage></FeiImage>"""
 

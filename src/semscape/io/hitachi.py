@@ -13,7 +13,7 @@ import math
 import re
 
 from semscape.io.metadata_fields import MetadataFields
-from semscape.io.quantities import KV_PER_VOLTAGE, PLAIN, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH
+from semscape.io.quantities import PLAIN, RAD_PER_ANGLE
 from semscape.io.vendor_text import ini_values
 from semscape.types import SemMetadata
 
@@ -51,14 +51,14 @@ def parse_hitachi(
     stored_width = int(stored.group(1)) if stored else 0
     fields.warn_if_resized(stored_width, image_shape[1])
     if fields.text(_SECTION + "PixelSize"):
-        fields.take("pixel_size_um", _SECTION + "PixelSize", UM_PER_LENGTH, "nm")
+        fields.take("pixel_size_um", _SECTION + "PixelSize", "nm")
     else:
         fields.take_pixel_size_of_photograph(_SECTION + "Magnification", _PHOTOGRAPH_UM, stored_width or image_shape[1])
-    fields.take("working_distance_um", _SECTION + "WorkingDistance", UM_PER_LENGTH, "um")
-    fields.take("accelerating_voltage_kv", _SECTION + "AcceleratingVoltage", KV_PER_VOLTAGE, "v")
-    fields.take("magnification", _SECTION + "Magnification", TIMES)
+    fields.take("working_distance_um", _SECTION + "WorkingDistance", "um")
+    fields.take("accelerating_voltage_kv", _SECTION + "AcceleratingVoltage", "v")
+    fields.take("magnification", _SECTION + "Magnification")
     fields.take_stage_tilt(_SECTION + "StagePositionT", "deg", sign_is_known=False)
-    fields.take("stage_rotation_rad", _SECTION + "StagePositionR", RAD_PER_ANGLE, "deg")
+    fields.take("stage_rotation_rad", _SECTION + "StagePositionR", "deg")
     rotation, key = fields.read(_SECTION + "RasterRotation", RAD_PER_ANGLE, "deg")
     if rotation == 0:
         fields.set("scan_rotation_rad", 0.0, key)

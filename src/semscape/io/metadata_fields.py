@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from semscape.io.quantities import RAD_PER_ANGLE, TIMES, parse_quantity
+from semscape.io.quantities import KV_PER_VOLTAGE, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH, parse_quantity
 from semscape.types import FieldSource, SemMetadata
 
 # Keys of `SemMetadata.raw` for what semscape notes of the image file; all others are the vendor's.
@@ -16,6 +16,14 @@ STAGE_TILT_KEY = FILE_KEY_PREFIX + "stage_tilt_deg"
 # rotation about +x in semscape's convention.
 TILT_SIGN = -1.0
 
+_UNITS: dict[str, Mapping[str, float]] = {
+    "pixel_size_um": UM_PER_LENGTH,
+    "working_distance_um": UM_PER_LENGTH,
+    "accelerating_voltage_kv": KV_PER_VOLTAGE,
+    "magnification": TIMES,
+    "stage_rotation_rad": RAD_PER_ANGLE,
+    "scan_rotation_rad": RAD_PER_ANGLE,
+}
 _MAX_PIXEL_SIZE_UM = 1000.0
 _POSITIVE = ("pixel_size_um", "working_distance_um", "accelerating_voltage_kv", "magnification")
 _MAX_BAR_SHARE = 0.4
@@ -76,9 +84,9 @@ class MetadataFields:
                 )
         return math.nan, ""
 
-    def take(self, name: str, keys: str | Iterable[str], units: Mapping[str, float], bare: str = "") -> None:
-        """Set a field from the first of some tags that holds a number with one of `units`."""
-        value, key = self.read(keys, units, bare)
+    def take(self, name: str, keys: str | Iterable[str], bare: str = "") -> None:
+        """Set a field from the first of some tags that holds a number with a unit of the field's kind."""
+        value, key = self.read(keys, _UNITS[name], bare)
         self.set(name, value, key)
 
     def take_stage_tilt(self, keys: str | Iterable[str], bare: str, *, sign_is_known: bool, leans: str = "up") -> None:
@@ -93,8 +101,8 @@ class MetadataFields:
         self.raw[STAGE_TILT_KEY] = f"{math.degrees(value) + 0.0:.9g}"
         if not sign_is_known and value != 0:
             self.warn(
-                f"the sign of this {self.vendor} stage's tilt is assumed (positive leans structures {leans} in the image); "
-                "if hills come out as pits, give the tilts with the other sign"
+                f"the sign of this {self.vendor} stage's tilt is assumed (positive leans structures {leans} in the "
+                "image); if hills come out as pits, give the tilts with the other sign"
             )
 
     def take_square_pixel(self, width_um: float, height_um: float, key: str) -> None:

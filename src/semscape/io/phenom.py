@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from semscape.io.metadata_fields import MetadataFields
-from semscape.io.quantities import KV_PER_VOLTAGE, PLAIN, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH
+from semscape.io.quantities import KV_PER_VOLTAGE, PLAIN, RAD_PER_ANGLE, UM_PER_LENGTH
 from semscape.io.vendor_text import xml_values
 from semscape.types import SemMetadata
 
@@ -49,7 +49,7 @@ def parse_phenom(text: str, image_height: int, place: str = "tag 34683") -> tupl
     for key in (_SCAN + "highVoltage", _ROOT + "highVoltage"):
         voltage, found = fields.read(key, KV_PER_VOLTAGE, fields.text(key + "@unit").lower() or "v")
         fields.set("accelerating_voltage_kv", abs(voltage), found)
-    fields.take("magnification", (_ROOT + "magnification", _SCAN + "magnification"), TIMES)
+    fields.take("magnification", (_ROOT + "magnification", _SCAN + "magnification"))
     for key in (_SCAN + "scanRotation", _SCAN + "rotation"):
         rotation, found = fields.read(key, RAD_PER_ANGLE, fields.text(key + "@unit").lower() or "deg")
         fields.set("scan_rotation_rad", rotation, found)
@@ -59,7 +59,7 @@ def parse_phenom(text: str, image_height: int, place: str = "tag 34683") -> tupl
             case "tilt" | "t":
                 fields.take_stage_tilt(axis, unit, sign_is_known=False)
             case "rotation" | "r":
-                fields.take("stage_rotation_rad", axis, RAD_PER_ANGLE, unit)
+                fields.take("stage_rotation_rad", axis, unit)
     rows, key = fields.read(_ROOT + "databarHeight", PLAIN)
     fields.set_data_bar_rows(rows, image_height, key)
     models = (fields.text(_ROOT + "instrument." + key) for key in ("edition", "type"))

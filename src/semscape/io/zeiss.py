@@ -24,7 +24,7 @@ import math
 import re
 
 from semscape.io.metadata_fields import TILT_SIGN, MetadataFields
-from semscape.io.quantities import KV_PER_VOLTAGE, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH, repair_units
+from semscape.io.quantities import RAD_PER_ANGLE, UM_PER_LENGTH, repair_units
 from semscape.types import SemMetadata
 
 __all__ = ["TAG", "TILT_SIGN", "parse_zeiss"]
@@ -33,7 +33,6 @@ TAG = 34118
 
 _DISPLAY_WIDTH_PX = 1024
 _KEY = re.compile(r"(?:AP|DP|SV)_[A-Z0-9_]+")
-_DEG_OR_BARE = RAD_PER_ANGLE | {"": RAD_PER_ANGLE["deg"]}
 _HORIZONTAL, _VERTICAL = 0.0, math.pi / 2
 _AXIS_OF_STAGE = {"in y": _HORIZONTAL, "in x": _VERTICAL}
 
@@ -72,16 +71,16 @@ def parse_zeiss(text: str, image_width: int) -> tuple[SemMetadata, tuple[str, ..
         sign_is_known=math.isnan(tilt_axis) or tilt_axis == _HORIZONTAL,
         leans="to the left" if tilt_axis == _VERTICAL else "up",
     )
-    fields.take("stage_rotation_rad", "AP_STAGE_AT_R", _DEG_OR_BARE)
-    fields.take("working_distance_um", "AP_WD", UM_PER_LENGTH)
-    fields.take("accelerating_voltage_kv", ("AP_ACTUALKV", "AP_MANUALKV"), KV_PER_VOLTAGE)
-    fields.take("magnification", "AP_MAG", TIMES)
+    fields.take("stage_rotation_rad", "AP_STAGE_AT_R", "deg")
+    fields.take("working_distance_um", "AP_WD")
+    fields.take("accelerating_voltage_kv", ("AP_ACTUALKV", "AP_MANUALKV"))
+    fields.take("magnification", "AP_MAG")
     if fields.is_on("DP_SCAN_ROT"):
-        fields.take("scan_rotation_rad", "AP_SCANROTATION", _DEG_OR_BARE)
+        fields.take("scan_rotation_rad", "AP_SCANROTATION", "deg")
     elif fields.text("DP_SCAN_ROT"):
         fields.set("scan_rotation_rad", 0.0, "DP_SCAN_ROT")
     if fields.is_on("DP_TILT_CORRECTION"):
-        fields.set_tilt_correction(*fields.read("AP_TILT_ANGLE", _DEG_OR_BARE))
+        fields.set_tilt_correction(*fields.read("AP_TILT_ANGLE", RAD_PER_ANGLE, "deg"))
         if tilt_axis in (_HORIZONTAL, _VERTICAL):
             fields.set("tilt_correction_axis_rad", tilt_axis, axis_key)
     if fields.is_on("DP_DYNFOCUS"):
@@ -91,7 +90,7 @@ def parse_zeiss(text: str, image_width: int) -> tuple[SemMetadata, tuple[str, ..
 
 def _tilt_axis(fields: MetadataFields) -> tuple[float, str]:
     """Return the direction of the tilt axis in rad and the tag that says so; NaN where none does."""
-    axis, key = fields.read("AP_TILT_AXIS", _DEG_OR_BARE)
+    axis, key = fields.read("AP_TILT_AXIS", RAD_PER_ANGLE, "deg")
     if math.isnan(axis):
         axis, key = _AXIS_OF_STAGE.get(fields.text("DP_STAGE_TILTED").lower(), math.nan), "DP_STAGE_TILTED"
     return axis, key
