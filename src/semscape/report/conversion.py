@@ -191,7 +191,8 @@ def convert(
     for key in dict.fromkeys(formats):
         files |= FORMATS[key](source)
     if name is not None and len(files) == 1:
-        files = dict.fromkeys([output.name], *files.values())
+        (content,) = files.values()
+        files = {output.name: content}
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
