@@ -142,7 +142,7 @@ _SUFFIXES = {".print": ".stl", ".anaglyph": ".png", ".side-by-side": ".png"}
 def convert(
     run: Path | str,
     formats: Sequence[str],
-    output: Path | str,
+    output: Path | str | None = None,
     options: ConvertOptions | None = None,
     *,
     images: Path | str | None = None,
@@ -156,7 +156,8 @@ def convert(
     formats : sequence of str
         Keys of `FORMATS`.
     output : path
-        A folder, in which files are named after the run; or a file, for a single format whose suffix it has.
+        A folder, in which files are named after the run; or a file, for a single format whose suffix it has. Left
+        out: the folder `converted` in the run folder, or beside the height_map.npz.
     options : ConvertOptions, optional
         Units, colours, scales.
     images : path, optional
@@ -177,7 +178,8 @@ def convert(
     if unknown or not formats:
         raise BadInputError(f"--to {','.join(unknown) or '(empty)'} is not known; there are: {', '.join(FORMATS)}")
     path = Path(run)
-    folder, name = _target(list(dict.fromkeys(formats)), Path(output))
+    output = (path.parent if path.is_file() else path) / "converted" if output is None else Path(output)
+    folder, name = _target(list(dict.fromkeys(formats)), output)
     height_map = read_finished_run(path).height_map
     archive = path if path.is_file() else path / "height_map.npz"
     # The time of the heights, not of the conversion: the same run gives the same bytes.
@@ -189,7 +191,8 @@ def convert(
     for key in dict.fromkeys(formats):
         files |= FORMATS[key](source)
     if name is not None and len(files) == 1:
-        files = {Path(output).name: content for content in files.values()}
+        (content,) = files.values()
+        files = {output.name: content}
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
