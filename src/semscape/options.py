@@ -65,6 +65,7 @@ _RANGES = {
     "dense.refine_sigma_px": _Range(0.5),
     "dense.refine_iterations": _Range(1),
     "dense.mesh_max_vertices": _Range(4),
+    "dense.tile_px": _Range(0),
     "run.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
@@ -73,6 +74,7 @@ _CHOICES = {
     "robust.model": ["affine", "fundamental", "homography", "essential", "auto"],
     "sfm.camera": ["orthographic", "perspective", "auto"],
     "sfm.method": ["series", "thesis"],
+    "dense.keep": ["all", "specimen"],
     "sfm.de_strategy": ["best1bin", "rand1bin"],
     "features.significance_by": ["model", "response", "scale"],
 }
@@ -177,7 +179,9 @@ class DenseOptions(_Stage):
     """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits.
 
     `sharp_jumps` sweeps all views once more where windows smear depth jumps; `evidence` ends with the most probable
-    surface. Both take several times as long.
+    surface. Both take several times as long. Fields whose sides are longer than `tile_px` are computed in tiles with
+    overlap, so that memory does not grow with them; 0 is one piece. `keep` is "all" or "specimen": without what lies on
+    the background stub.
     """
 
     max_pairs: int = 6
@@ -190,6 +194,8 @@ class DenseOptions(_Stage):
     sharp_jumps: bool = False
     evidence: bool = False
     mesh_max_vertices: int = 400_000
+    tile_px: int = 768
+    keep: str = "all"
 
     def __post_init__(self) -> None:
         super().__post_init__()

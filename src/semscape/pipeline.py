@@ -15,12 +15,12 @@ import numpy as np
 
 from semscape.cluster import Mapper, local_mapper
 from semscape.dense.mesh import height_map_mesh
-from semscape.dense.surface import dense_surface
+from semscape.dense.tiles import surface_in_tiles
 from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
 from semscape.features.significance import keep_significant
 from semscape.options import FeaturesOptions, Options, RunOptions
-from semscape.report.memory import PeakMemory
+from semscape.report.memory import PeakMemory, release_memory
 from semscape.report.summary import build_report, pair_figures
 from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import Calibration, calibrate
@@ -144,7 +144,7 @@ def reconstruct(
             figures["camera"], figures["camera_margin"] = reconstruction.camera, reconstruction.camera_margin
 
         with stages("surface") as figures:
-            surface = keep("surface", lambda: dense_surface(series, reconstruction, options.dense, mapper=mapper))
+            surface = keep("surface", lambda: surface_in_tiles(series, reconstruction, options.dense, mapper=mapper))
             figures["completeness"] = float(np.isfinite(surface.height_map.height_um).mean())
             figures["pairs"] = [list(pair) for pair in surface.pairs]
 
@@ -334,6 +334,7 @@ class _Stage:
         return self._figures
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        release_memory()
         if kind is None:
             seconds = time.perf_counter() - self._start
             self._done.append(StageReport(self._name, seconds, self._figures, self._memory.peak_mb()))

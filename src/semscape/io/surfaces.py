@@ -131,7 +131,8 @@ def encode_height_map_npz(height_map: HeightMap) -> bytes:
     """Return a height map as a compressed NumPy archive.
 
     The keys carry the unit: height_um, uncertainty_um and pixel_size_um, or height_px, uncertainty_px and
-    pixel_size_px for a series without a pixel size; further world_from_grid, n_views, texture, length_unit.
+    pixel_size_px for a series without a pixel size; further world_from_grid, n_views, reason, specimen, texture,
+    length_unit.
     Heights and uncertainties are float32: seven digits, far below any uncertainty, at half the size.
     """
     unit = height_map.length_unit
@@ -141,6 +142,8 @@ def encode_height_map_npz(height_map: HeightMap) -> bytes:
         f"pixel_size_{unit}": np.array(float(height_map.pixel_size_um)),
         "world_from_grid": np.asarray(height_map.world_from_grid),
         "n_views": np.asarray(height_map.n_views),
+        "reason": np.asarray(height_map.reason),
+        "specimen": np.asarray(height_map.specimen),
         "texture": np.asarray(height_map.texture),
         "length_unit": np.array(unit),
     }
@@ -178,6 +181,7 @@ def read_height_map(path: Path | str) -> HeightMap:
                 pixel_size_um=float(archive[f"pixel_size_{unit}"]),
                 world_from_grid=archive["world_from_grid"],
                 length_unit=unit,
+                **{name: archive[name] for name in ("reason", "specimen") if name in archive.files},
             )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise BadInputError(f"{path} is not a height map of semscape (height_map.npz): {error}") from error
