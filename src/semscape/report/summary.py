@@ -113,7 +113,7 @@ def _metrics(
 
 
 def reason_shares(height_map: HeightMap) -> dict[str, float]:
-    """Return the share of the field that is unknown for each reason, by its name in lower case; only those there are."""
+    """Return by the lower-case name of each reason the share of the field that is unknown for it, where it occurs."""
     count = np.bincount(height_map.reason.ravel(), minlength=256)
     size = max(height_map.reason.size, 1)
     return {

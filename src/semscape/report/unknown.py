@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _LONGEST_SIDE_PX = 700
 # Colours that people who are blind to red or green tell apart (Okabe & Ito 2008), and what each reason means.
 _REASONS: dict[Reason, tuple[str, str, str]] = {
-    Reason.OUTSIDE: ("#999999", "outside", "less than two views have it in their field"),
+    Reason.OUTSIDE: ("#009e73", "outside", "less than two views have it in their field"),
     Reason.MASKED: ("#000000", "masked", "data bar or blank in all views but one"),
     Reason.OCCLUDED: ("#d55e00", "occluded", "hidden behind something higher from all views but one"),
     Reason.SATURATED: ("#f0e442", "saturated", "white without detail in all views but one"),
@@ -44,7 +44,8 @@ def unknown_html(height_map: HeightMap) -> str:
         "Views and gaps",
         "Grey: heights are known, the lighter the more views agree on them. Colours: why they are not known.",
     )
-    return f'<div class="two">{picture}<div>{table(["Unknown because", "Share of the field", "Meaning"], rows)}</div></div>'
+    shown = table(["Unknown because", "Share of the field", "Meaning"], rows)
+    return f'<div class="two">{picture}<div>{shown}</div></div>'
 
 
 def coverage_picture(height_map: HeightMap) -> bytes:
