@@ -66,6 +66,8 @@ _RANGES = {
     "dense.refine_iterations": _Range(1),
     "dense.mesh_max_vertices": _Range(4),
     "dense.tile_px": _Range(0),
+    "mesh.triangles": _Range(0),
+    "mesh.texture_px": _Range(16),
     "run.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
@@ -207,6 +209,23 @@ class DenseOptions(_Stage):
 
 
 @dataclass(frozen=True)
+class MeshOptions(_Stage):
+    """Mesh: come down to so many `triangles`, 0 keeps all, or stay within `error_um` of them (px without a pixel size).
+
+    `texture_px` is the longest side of the micrograph on the mesh: many viewers show no larger ones.
+    """
+
+    triangles: int = 0
+    error_um: float = math.nan
+    texture_px: int = 4096
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isnan(self.error_um) or 0 < self.error_um < math.inf):
+            raise BadInputError(f"option mesh.error_um is {self.error_um:g}, must be > 0")
+
+
+@dataclass(frozen=True)
 class RunOptions(_Stage):
     """The seed from which every random stream of a run derives."""
 
@@ -276,6 +295,7 @@ class Options:
     robust: RobustOptions = field(default_factory=RobustOptions)
     sfm: SfmOptions = field(default_factory=SfmOptions)
     dense: DenseOptions = field(default_factory=DenseOptions)
+    mesh: MeshOptions = field(default_factory=MeshOptions)
     run: RunOptions = field(default_factory=RunOptions)
 
     def with_settings(self, settings: list[str]) -> Options:

@@ -320,12 +320,18 @@ class HeightMap(_Value):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMesh(_Value):
-    """Triangles: `vertices_um` (P, 3), `faces` (F, 3) counter-clockwise from outside, `color` (P, 3) uint8."""
+    """Triangles: `vertices_um` (P, 3), `faces` (F, 3) counter-clockwise from outside, `color` (P, 3) uint8.
+
+    `picture` (H, W) uint8 is the micrograph on it, where there is one, and `uv` (P, 2) each vertex's place in it: u
+    right, v up, 0 to 1 between the outer edges.
+    """
 
     vertices_um: FloatArray
     faces: NDArray[np.int64]
     color: NDArray[np.uint8]
     length_unit: LengthUnit
+    uv: FloatArray | None = None
+    picture: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True, eq=False)

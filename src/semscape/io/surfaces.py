@@ -109,6 +109,8 @@ def encode_mesh_glb(mesh: SurfaceMesh, unit: MeshUnit | None = None) -> bytes:
 
     def describe(tree: dict[str, Any]) -> None:
         tree["asset"]["extras"] = {"length_unit": length_unit, "up_axis": "z", "made_by": "semscape"}
+        if mesh.uv is not None:
+            return
         # Without a material glTF means polished metal, which most viewers show as black.
         tree["materials"] = [
             {"name": "micrograph", "doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0}},
@@ -123,8 +125,27 @@ def encode_mesh_glb(mesh: SurfaceMesh, unit: MeshUnit | None = None) -> bytes:
     surface = trimesh.Trimesh(
         vertices=vertices, faces=mesh.faces, vertex_colors=mesh.color, process=False, validate=False
     )
+    if mesh.uv is not None and mesh.picture is not None:
+        surface.visual = _micrograph_visual(mesh.uv, mesh.picture)
     export: Any = trimesh.Scene([surface]).export  # trimesh does not type it
     return cast("bytes", export(file_type="glb", include_normals=True, tree_postprocessor=describe))
+
+
+def _micrograph_visual(uv: FloatArray, picture: NDArray[np.uint8]) -> Any:
+    from PIL import Image
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    make_material: Any = PBRMaterial
+    make_visual: Any = TextureVisuals  # trimesh types neither
+    material = make_material(
+        name="micrograph",
+        baseColorTexture=Image.fromarray(picture),
+        metallicFactor=0.0,
+        roughnessFactor=1.0,
+        doubleSided=True,
+    )
+    return make_visual(uv=uv, material=material)
 
 
 def encode_height_map_npz(height_map: HeightMap) -> bytes:
