@@ -15,6 +15,7 @@ import numpy as np
 
 from semscape.cluster import Mapper, local_mapper
 from semscape.dense.decimate import decimate
+from semscape.dense.full_object import FullObject, full_object_surface
 from semscape.dense.mesh import height_map_mesh, with_picture
 from semscape.dense.tiles import surface_in_tiles
 from semscape.errors import SemscapeError, TooFewMatchesError
@@ -25,6 +26,7 @@ from semscape.report.memory import PeakMemory, release_memory
 from semscape.report.summary import build_report, pair_figures
 from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import Calibration, calibrate
+from semscape.sfm.full_object import calibrate_full_object
 from semscape.sfm.misfit import misfitting_view
 from semscape.sfm.plausibility import require_tilts
 from semscape.sfm.thesis import thesis_calibration
@@ -107,11 +109,7 @@ def reconstruct(
     >>> result.height_map.height_um.shape
     (256, 256)
     """
-    options = options or Options()
-    if rng is not None:
-        if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
-            raise ValueError(f"rng must be a seed, a whole number >= 0, got {rng!r}")
-        options = replace(options, run=RunOptions(seed=int(rng)))
+    options = _seeded(options or Options(), rng)
     seed = options.run.seed
     stages = _Stages(progress)
     require_tilts(series)
@@ -168,6 +166,67 @@ def reconstruct(
         failures=tuple(failures),
     )
     return Result(series, keypoints, matches, geometries, reconstruction, surface.height_map, mesh, report)
+
+
+def reconstruct_full_object(
+    series: TiltSeries,
+    options: Options | None = None,
+    *,
+    rng: int | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[FullObject, tuple[StageReport, ...], tuple[str, ...]]:
+    """Reconstruct a whole body from views that the stage has tilted and rotated, as one watertight mesh.
+
+    Parameters
+    ----------
+    series : TiltSeries
+        With the tilt and the rotation of every view; at each rotation two or three tilts some degrees apart.
+    options, rng, workers, progress
+        As in `reconstruct`.
+
+    Returns
+    -------
+    FullObject
+        Motion, height map of each group of views, merged mesh.
+    tuple of StageReport
+        What the stages took.
+    tuple of str
+        Pairs that could not be matched.
+
+    Raises
+    ------
+    BadInputError
+        Where a tilt or a rotation is not known.
+    NoAnswerError
+        When the images do not determine the body.
+    """
+    options = _seeded(options or Options(), rng)
+    stages = _Stages(progress)
+    with local_mapper(workers) as mapper:
+        with stages("detect") as figures:
+            keypoints = tuple(mapper(partial(detect, options=options.features), series.views))
+            figures["n_keypoints"] = sum(len(found) for found in keypoints)
+        with stages("match") as figures:
+            matches, geometries, failures = _match_all(series, keypoints, options, options.run.seed, mapper)
+            figures["n_pairs"] = len(geometries)
+        with stages("calibrate") as figures:
+            observations = build_tracks(keypoints, matches, geometries)
+            motion = calibrate_full_object(series, observations, options.sfm)
+            figures["noise_sigma_px"] = motion.adjustment.sigma_px
+        with stages("surface") as figures:
+            found = full_object_surface(series, observations, motion, options.dense, mapper=mapper)
+            figures["groups"], figures["measured_fraction"] = len(found.maps), found.merged.measured
+            figures["n_faces"] = len(found.merged.mesh.faces)
+    return found, tuple(stages.done), tuple(failures)
+
+
+def _seeded(options: Options, rng: int | None) -> Options:
+    if rng is None:
+        return options
+    if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
+        raise ValueError(f"rng must be a seed, a whole number >= 0, got {rng!r}")
+    return replace(options, run=RunOptions(seed=int(rng)))
 
 
 def _significant(
