@@ -26,6 +26,7 @@ def effective_options(
     seed: int | None,
     invert_relief: bool | None,
     scale_bar_um: float | None = None,
+    keep: str | None = None,
 ) -> Options:
     """Return the options: defaults, then the file's, then --set, then the explicit flags."""
     options = Options()
@@ -36,6 +37,8 @@ def effective_options(
             reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
             raise BadInputError(f"the options file {file} cannot be read: {reason}") from error
     options = options.with_settings(settings or [])
+    if keep is not None:
+        options = options.with_values({"dense": {"keep": keep}})
     return with_flags(options, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um)
 
 

@@ -45,6 +45,9 @@ def reconstruct(
         bool | None,
         typer.Option("--invert-relief/--keep-relief", help="Mirror a relief whose sign nothing but shading fixed."),
     ] = None,
+    keep: Annotated[
+        str | None, typer.Option(help="all, or specimen: leave out the background stub.", metavar="WHAT")
+    ] = None,
     quiet: QuietOption = False,
     log_json: LogJsonOption = False,
     debug: DebugOption = False,
@@ -52,7 +55,7 @@ def reconstruct(
     """Reconstruct the surface from a folder of tilted images and write a run folder."""
     with exit_codes(debug=debug, quiet=quiet, log_json=log_json):
         options = effective_options(
-            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um
+            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep
         )
         run_into(folder, output, options, workers=workers, quiet=quiet, lines=not (quiet or log_json))
 

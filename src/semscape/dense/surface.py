@@ -72,6 +72,7 @@ def dense_surface(
     height_range = height_range_px(reconstruction, frame)
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
+    del views, heights  # the refinement needs the memory
     return DenseSurface(_refined_map(series, reconstruction, frame, fused, options), tuple(pairs))
 
 

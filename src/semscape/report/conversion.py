@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from semscape.dense.mesh import grey_levels, height_map_mesh
+from semscape.dense.mesh import height_map_mesh, with_picture
 from semscape.dense.print_body import print_body
 from semscape.errors import BadInputError, NoAnswerError
 from semscape.io.digital_surf import encode_sur
@@ -32,7 +32,7 @@ from semscape.io.surfaces import (
     encode_mesh_glb,
     encode_mesh_ply,
 )
-from semscape.options import ConvertOptions
+from semscape.options import ConvertOptions, MeshOptions
 from semscape.report.stereo_picture import anaglyph_png, rectified_pair, side_by_side_png
 from semscape.types import FloatArray, HeightMap, SurfaceMesh
 
@@ -61,21 +61,18 @@ class _Source:
         if not len(mesh.faces):
             raise NoAnswerError(f"{self.path}: the heights have too many gaps for a single triangle of a mesh")
         if self.options.color == "micrograph":
-            return mesh
+            return with_picture(mesh, self.height_map, MeshOptions().texture_px)
         return replace(mesh, color=_colors(mesh.vertices_um[:, 2], self.height_map, self.options.color))
 
 
 def _obj(source: _Source) -> dict[str, bytes]:
-    grid_from_world = np.linalg.inv(source.height_map.world_from_grid)
-    vertices = np.column_stack([source.mesh.vertices_um, np.ones(len(source.mesh.vertices_um))])
-    col, row = (vertices @ grid_from_world.T)[:, :2].T
-    rows, columns = source.height_map.height_um.shape
-    uv = np.column_stack([(col + 0.5) / columns, 1 - (row + 0.5) / rows])
-    if source.options.color == "micrograph":
-        picture = np.repeat(grey_levels(source.height_map.texture)[..., None], 3, axis=-1)
-    else:
-        picture = _colors(source.height_map.height_um, source.height_map, source.options.color)
-    return encode_obj(source.mesh, uv, picture, source.name, source.unit)
+    height_map = source.height_map
+    mesh = with_picture(source.mesh, height_map, max(height_map.height_um.shape))
+    assert mesh.uv is not None and mesh.picture is not None  # for so it was made
+    picture = np.repeat(mesh.picture[..., None], 3, axis=-1)
+    if source.options.color != "micrograph":
+        picture = _colors(height_map.height_um, height_map, source.options.color)
+    return encode_obj(mesh, mesh.uv, picture, source.name, source.unit)
 
 
 def _print(source: _Source) -> dict[str, bytes]:

@@ -19,6 +19,7 @@ from semscape.report.figures import (
 )
 from semscape.report.json import report_to_dict
 from semscape.report.markup import figure, fixed, page, percent, plus_minus, table, with_sigma
+from semscape.report.unknown import unknown_html
 from semscape.report.wording import UNIT_SIGNS, Z_95, held_text, is_held, label, number, two_digits, value_text
 from semscape.types import LengthUnit, Result
 
@@ -31,6 +32,7 @@ _NO_TILE = {
     "height_max",
     "n_views",
     "pixel_size",
+    "unknown",
 }
 
 
@@ -140,7 +142,7 @@ def _surface(result: Result) -> str:
     )
     return (
         f'<section><h2>Surface</h2><div class="wide">{pictures[0]}</div>'
-        f'<div class="two">{pictures[1]}{pictures[2]}</div></section>'
+        f'<div class="two">{pictures[1]}{pictures[2]}</div>{unknown_html(result.height_map)}</section>'
     )
 
 
