@@ -117,7 +117,7 @@ def refine(
             break
     parameters, cost, steps = problem.minimize(parameters, information, max_steps=200)
     hessian = problem.normal_equations(parameters, information).hessian
-    covariance = model.covariance(hessian)
+    covariance = model.covariance(hessian, parameters)
     residual = problem.residuals(parameters, weights)
     points, points_covariance = problem.points_with_covariance(parameters, information, covariance)
     return Adjustment(

@@ -128,9 +128,7 @@ def calibrate(
     reconstruction = replace(
         _reconstruction(series, replace(kept, xy=as_seen), final, prior, options, doubts),
         prior_mean=prior.centre_and_sigma()[0],
-        prior_sigma=replace(
-            learnt, anisotropy_sigma=learnt.anisotropy_sigma * learnt.anisotropy_reach
-        ).centre_and_sigma()[1],
+        prior_sigma=replace(learnt, anisotropy_sigma=learnt.expected_anisotropy).centre_and_sigma()[1],
         mirror_margin=mirror_margin(kept, final, learnt, options, overdispersion),
         height_scale_relative_sigma_of_images=images_height_scale_sigma(kept, final, learnt, overdispersion),
     )
