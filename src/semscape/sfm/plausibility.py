@@ -113,13 +113,15 @@ def height_scale_warnings(height_scale_sigma: float, prior: MotionPrior) -> list
     return [f"height scale known to +-{196 * height_scale_sigma:.0f} % (95 %) only: {reason}"]
 
 
-def perspective_warnings(series: TiltSeries, height_um: FloatArray) -> list[str]:
+def perspective_warnings(series: TiltSeries, tilt_rad: FloatArray, height_um: FloatArray) -> list[str]:
     """Warn where the projection is no longer parallel: a wide field or a high relief for its working distance.
 
     Parameters
     ----------
     series : TiltSeries
         With pixel sizes and working distances; without them nothing can be told.
+    tilt_rad : (V,) float array
+        Tilts: they make one side of the field the farther one.
     height_um : (P,) float array
         Heights of the points.
     """
@@ -131,10 +133,12 @@ def perspective_warnings(series: TiltSeries, height_um: FloatArray) -> list[str]
     relief = float(np.ptp(np.percentile(height_um, [0.5, 99.5]))) / distance_um
     if field <= _WIDEST_FIELD and relief <= _HIGHEST_RELIEF:
         return []
+    bend_px = field * max(series.shape) / 4 * float(np.sin(np.ptp(tilt_rad) / 2))
     return [
         f"perspective matters: field of view / working distance is {field:.3f} (limit {_WIDEST_FIELD}), relief "
-        f"/ working distance {relief:.4f} (limit {_HIGHEST_RELIEF}); the parallel projection bends the surface. "
-        "Take the series at a higher magnification or a longer working distance"
+        f"/ working distance {relief:.4f} (limit {_HIGHEST_RELIEF}); parallel projection is off by up to "
+        f"{bend_px:.1f} px and bends the surface. Run again with --camera auto, or take the series at a higher "
+        "magnification or a longer working distance"
     ]
 
 
