@@ -101,7 +101,9 @@ def calibrate(
     if not prior.self_calibrated and series.n_views > 2:
         unbound = evolve(found.patterns, prior.without_stage(), found.sigma_px, options, rng=rng)
         n_free = 2 * len(observations.view) - 3 * observations.n_points
-        doubts += stage_contradictions(found.patterns, found.evolution.parameters, unbound.parameters, n_free, prior)
+        doubts += stage_contradictions(
+            series.names, found.patterns, found.evolution.parameters, unbound.parameters, n_free, prior
+        )
     first = adjust(
         with_translations(found.evolution.parameters, observations, series.n_views),
         observations,
@@ -258,7 +260,9 @@ def _reconstruction(
     tilt_covariance = covariance[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
     height_scale_sigma = height_scale_relative_sigma(motion.tilt_rad, tilt_covariance)
     tilt_sigma = np.sqrt(np.diag(tilt_covariance))
-    contradictions = [*doubts, *prior_contradictions(series.names, final.parameters, prior)]
+    contradictions = doubts + prior_contradictions(
+        series.names, final.parameters, tilt_sigma, prior, tilts_doubted=bool(doubts)
+    )
     warnings += height_scale_warnings(height_scale_sigma, prior)
     if options.camera == "orthographic":
         warnings += perspective_warnings(series, motion.tilt_rad, points[:, 2])
