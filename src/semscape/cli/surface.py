@@ -41,6 +41,10 @@ def reconstruct(
     options_file: OptionsOption = None,
     seed: SeedOption = None,
     workers: WorkersOption = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="MODEL", help="Camera: orthographic, perspective, or auto, which fits both and chooses."),
+    ] = None,
     invert_relief: Annotated[
         bool | None,
         typer.Option("--invert-relief/--keep-relief", help="Mirror a relief whose sign nothing but shading fixed."),
@@ -55,7 +59,7 @@ def reconstruct(
     """Reconstruct the surface from a folder of tilted images and write a run folder."""
     with exit_codes(debug=debug, quiet=quiet, log_json=log_json):
         options = effective_options(
-            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep
+            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep, camera
         )
         run_into(folder, output, options, workers=workers, quiet=quiet, lines=not (quiet or log_json))
 

@@ -19,6 +19,7 @@ from semscape.report.figures import (
 )
 from semscape.report.json import report_to_dict
 from semscape.report.markup import figure, fixed, page, percent, plus_minus, table, with_sigma
+from semscape.report.motion_table import before_and_after
 from semscape.report.unknown import unknown_html
 from semscape.report.wording import UNIT_SIGNS, Z_95, held_text, is_held, label, number, two_digits, value_text
 from semscape.types import LengthUnit, Result
@@ -174,25 +175,9 @@ def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
     return (
         f"<section><h2>Tilts and scales</h2>{table(head, rows)}"
         f'<p class="quiet">± is 1 σ. Tilt axis at {axis}° from +x, counter-clockwise. '
-        f"{_priors(report)}"
         f"Tilts: {escape(report['tilt_source'])}. {escape(report['height_scale'].capitalize())}.</p>"
+        f"{before_and_after(report, result)}"
         f'<div class="wide">{picture}</div></section>'
-    )
-
-
-def _priors(report: Mapping[str, Any]) -> str:
-    """Say what was known or assumed before (1 sigma), beside which the table's posterior stands."""
-    priors = [view.get("prior") or {} for view in report["views"]]
-    if not all(priors):
-        return ""
-    told = sum(1 for view in report["views"] if view["stage_tilt_deg"] is not None)
-    tilt = max((prior["tilt_sigma_deg"] or 0.0 for prior in priors), default=0.0) if told > 1 else None
-    assumed = priors[0]
-    drift = percent(assumed["scale_relative_sigma"])
-    return (
-        f"Before: {'stage tilts to ' + number(tilt) + '°' if tilt else 'tilts free'}, and assumed a roll within "
-        f"{number(assumed['roll_sigma_deg'])}°, a scale drift within {number(drift)} %, "
-        f"an anisotropy within {number(percent(assumed['anisotropy_sigma']))} % (learnt from the series). "
     )
 
 

@@ -61,7 +61,7 @@ class FullObjectModel:
         every = np.concatenate([derivatives @ rotated[:, None], by_rotation], axis=1)
         return matrices @ rotated, every, translations
 
-    def covariance(self, hessian: FloatArray) -> FloatArray:
+    def covariance(self, hessian: FloatArray, parameters: FloatArray) -> FloatArray:  # noqa: ARG002
         """Return the inverse of the normal matrix."""
         return inverted(hessian)
 
