@@ -22,7 +22,7 @@ export const HOME: Readonly<Eye> = {
   projection: "perspective",
   azimuthDeg: -62,
   elevationDeg: 38,
-  reach: 0.6,
+  reach: 0.63,
   target: [0, 0, 0],
 };
 

@@ -64,7 +64,7 @@ void main() {
   }
   vec2 uv = (place + 0.5) / vec2(size);
   vec3 base;
-  if (colourBy == 0) base = vec3(texture(micrograph, uv).r);
+  if (colourBy == 0) base = vec3(pow(texture(micrograph, uv).r, 0.72));
   else {
     float shown = value;
     if (colourBy == 2) shown = texelFetch(planes, ivec2(place + 0.5), 0).r * 255.0;

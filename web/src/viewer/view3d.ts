@@ -241,9 +241,11 @@ export class View3D {
       const tiles = this.tiles(stride, camera);
       this.renderer.setRenderTarget(target);
       this.renderer.clear();
-      for (let first = 0; first < tiles.length; first += 2 * perSlice) {
+      for (let done = 0; done < tiles.length; ) {
         const start = performance.now();
-        this.renderSurface(tiles.slice(first, first + 2 * perSlice), stride, camera, target);
+        const slice = tiles.slice(done, done + 2 * perSlice);
+        this.renderSurface(slice, stride, camera, target);
+        done += slice.length;
         await new Promise((resolve) => requestAnimationFrame(resolve));
         if (job !== this.job) return;
         const spent = performance.now() - start;
@@ -300,7 +302,7 @@ export class View3D {
       Math.sin(azimuth) * Math.cos(altitude), Math.cos(azimuth) * Math.cos(altitude), Math.sin(altitude),
     );
     uniforms.toEye.value.copy(directionOf(settings.eye));
-    uniforms.shading.value = settings.shaded ? (colouring.by === "micrograph" ? 0.75 : 1) : 0;
+    uniforms.shading.value = settings.shaded ? (colouring.by === "micrograph" ? 0.6 : 1) : 0;
     uniforms.pointSize.value = dots ? Math.max(1.5, Math.min(7, 0.75 * stride * this.cellPx())) : 0;
     uniforms.wire.value = settings.style === "wireframe" ? this.wireStride() : 0;
     this.setTable(colouring.table);
