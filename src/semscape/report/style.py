@@ -3,7 +3,7 @@
 STYLE = """\
 :root {
   --ground: #f5f6f8; --card: #ffffff; --ink: #1b2129; --quiet: #5d6773; --line: #dfe3e8;
-  --accent: #1f6fc4; --good: #1d7f4e; --warn: #9a5b00; --bad: #b3261e;
+  --accent: #1f6fc4; --good: #176f43; --warn: #8a5200; --bad: #b3261e;
   --good-ground: #e4f4ec; --warn-ground: #fdf1dc; --bad-ground: #fbe6e4;
 }
 @media (prefers-color-scheme: dark) {
@@ -96,6 +96,7 @@ section > ul { padding-left: 20px; margin: 12px 0 0; max-width: 80ch; }
 a { color: var(--accent); }
 pre { font: 12.5px/1.45 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; overflow: auto; max-height: 60vh; }
 summary { cursor: pointer; }
+@page { margin: 14mm; }
 @media print {
   :root, :root[data-theme] {
     --ground: #fff; --card: #fff; --ink: #000; --quiet: #444; --line: #bbb; --accent: #1f6fc4;
@@ -112,6 +113,8 @@ summary { cursor: pointer; }
   .surface > h2 { padding: 0; }
   #semscape-viewer { display: none; }
   .scroll { overflow: visible; }
+  h2 { break-after: avoid; }
+  .surface .wide img { max-width: 125mm; }
   .pairs { grid-template-columns: 1fr 1fr; gap: 8px 12px; }
   pre { max-height: none; white-space: pre-wrap; }
   a { color: inherit; }

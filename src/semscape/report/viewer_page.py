@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import base64
 from functools import cache
-from html import escape
 from importlib.resources import files
 
 import semscape
-from semscape.report.markup import content_policy
 from semscape.report.surface_file import surface_of_result
 from semscape.types import Result
 
 _REPORT_HEIGHTS = 1_600_000
-_NOTEBOOK_HEIGHTS = 400_000
 
 
 @cache
@@ -29,22 +26,4 @@ def viewer_parts(result: Result, most_heights: int = _REPORT_HEIGHTS) -> str:
     return (
         '<div id="semscape-viewer"></div>\n'
         f'<script type="application/octet-stream" id="semscape-surface">{surface}</script>'
-    )
-
-
-def notebook_frame(result: Result, picture: str) -> str:
-    """Return the viewer as a frame for a notebook, with `picture` (the address of one) where no script may run."""
-    script = viewer_script()
-    still = f'<img src="{picture}" alt="Height map" style="max-width: 100%">'
-    if script is None:
-        return still
-    page = (
-        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>Surface</title>'
-        f'<meta http-equiv="Content-Security-Policy" content="{content_policy(script)}">'
-        "<style>body { margin: 0 } #semscape-viewer { height: 100vh; display: grid }</style></head><body>"
-        f"<noscript>{still}</noscript>{viewer_parts(result, _NOTEBOOK_HEIGHTS)}<script>{script}</script></body></html>"
-    )
-    return (
-        f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts allow-downloads" title="Surface" '
-        'style="width: 100%; height: 760px; border: 1px solid #8884; border-radius: 8px"></iframe>'
     )

@@ -125,8 +125,8 @@ function patchGeometry(filled: boolean, mostTiles: number): InstancedBufferGeome
     for (let row = 0, k = 0; row < PATCH; row++) {
       for (let col = 0; col < PATCH; col++, k += 6) {
         const a = row * side + col;
-        // Cut from upper right to lower left, as the run's mesh is.
-        index.set([a, a + side, a + 1, a + 1, a + side, a + side + 1], k);
+        // Cut from upper right to lower left, as the run's mesh is; the last corner of each tells the shader its cell.
+        index.set([a + side, a + 1, a, a + 1, a + side, a + side + 1], k);
       }
     }
     geometry.setIndex(new BufferAttribute(index, 1));

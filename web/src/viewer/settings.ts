@@ -96,7 +96,7 @@ export function colouringOf(settings: Settings, surface: Surface, facts: Facts):
     const marks = Array.from({ length: 5 }, (_, i) => low + (i / 4) * (high - low));
     return {
       by: "sigma",
-      title: `Uncertainty, 1 σ (${sign})`,
+      title: `1 σ (${sign})`,
       low,
       high,
       table: colourTable("magma"),
@@ -110,7 +110,7 @@ export function colouringOf(settings: Settings, surface: Surface, facts: Facts):
     const marks = Array.from({ length: high }, (_, i) => i + 1).filter((n) => n % every === 0 || n === high);
     return {
       by: "views",
-      title: "Views that agree",
+      title: "Views",
       low: 0.5,
       high: high + 0.5,
       table: stepped(colourTable(settings.colourMap), high),

@@ -91,7 +91,7 @@ export function toolbar(
       segments("Projection", [["perspective", "Perspective"], ["orthographic", "Orthographic"]], () => settings().eye.projection, (projection) =>
         change({ eye: { ...settings().eye, projection } })),
       el("div", { class: "sv-group" }, slider(
-        "Height ×", Math.log2(LEAST_LIFT), Math.log2(MOST_LIFT), 0.01, () => Math.log2(settings().exaggeration),
+        "z ×", Math.log2(LEAST_LIFT), Math.log2(MOST_LIFT), 0.01, () => Math.log2(settings().exaggeration),
         (value) => change({ exaggeration: rounded(2 ** value) }),
         (value) => `${rounded(2 ** value)}`,
       )),
