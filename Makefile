@@ -4,15 +4,19 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/setup-done
-CODE := src tests benchmarks examples
+CODE := src tests benchmarks examples web
+BUNDLE := src/semscape/web/digest.txt
+WEB_SOURCES := $(shell find web/src -type f) web/package-lock.json web/bundle_web.py
 
-.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
+.PHONY: help setup web web-check demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
 	simulator-speed clean
 
 help:
 	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
 	@echo "make test           the whole test suite"
 	@echo "make setup          only build .venv (the others do so where it is needed)"
+	@echo "make web            bundle web/src into the package again, after a change"
+	@echo "make web-check      types of web/src; installs what the tests in a browser need"
 	@echo "make lint           style and types"
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
@@ -36,10 +40,21 @@ $(STAMP): pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
 	@touch $(STAMP)
 
-demo: $(STAMP)
+# Setting up has bundled the web parts; this is for later changes of them.
+$(BUNDLE): $(WEB_SOURCES) | $(STAMP)
+	@$(BIN)/python web/bundle_web.py
+	@touch $(BUNDLE)
+
+web: $(BUNDLE)
+
+# TypeScript's own check; esbuild only strips the types. It also installs what the tests in a browser need.
+web-check: $(STAMP)
+	@$(BIN)/python web/bundle_web.py check
+
+demo: $(STAMP) $(BUNDLE)
 	@$(BIN)/semscape demo --output demo
 
-test: $(STAMP)
+test: $(STAMP) $(BUNDLE)
 	@$(BIN)/python -m pytest
 
 lint: $(STAMP)
@@ -73,6 +88,7 @@ docs-experiments: $(STAMP)
 	@rm -f docs/experiments.html
 
 clean:
+	rm -rf web/node_modules src/semscape/web
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist demo
 	find src tests benchmarks examples -depth -name __pycache__ -exec rm -rf {} +
 	find src -depth -name '*.egg-info' -exec rm -rf {} +

@@ -1,0 +1,20 @@
+/** The report's script: show the surface that the page carries in its element of class semscape-viewer. */
+
+import { decodeSurface, mountViewer } from "./viewer";
+
+async function start(): Promise<void> {
+  const place = document.getElementById("semscape-viewer");
+  const carried = document.getElementById("semscape-surface");
+  if (!place || !carried) return;
+  const text = atob((carried.textContent ?? "").trim());
+  const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+  carried.remove();
+  place.addEventListener("semscape-theme", (event) => {
+    document.documentElement.dataset.theme = (event as CustomEvent<string>).detail;
+  });
+  mountViewer(place, await decodeSurface(bytes.buffer), { label: "Surface of the run" });
+  // The still pictures are then for paper only.
+  document.documentElement.classList.add("has-viewer");
+}
+
+void start();
