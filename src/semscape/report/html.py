@@ -13,8 +13,8 @@ from semscape.io.run_folder import options_toml
 from semscape.report.figures import height_picture, hillshade_picture, tilt_picture, uncertainty_picture
 from semscape.report.json import report_to_dict
 from semscape.report.markup import figure, fixed, page, percent, plus_minus, table, with_sigma
-from semscape.report.motion_table import before_and_after
 from semscape.report.methods import assumptions, methods_section
+from semscape.report.motion_table import before_and_after
 from semscape.report.pair_pictures import pair_drawings
 from semscape.report.texture_section import texture_section
 from semscape.report.unknown import unknown_html
