@@ -7,7 +7,7 @@ STAMP := $(VENV)/setup-done
 CODE := src tests benchmarks examples
 
 .PHONY: help setup demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
-	simulator-speed clean
+	simulator-speed motion clean
 
 help:
 	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
@@ -17,6 +17,7 @@ help:
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
 	@echo "make benchmark      seconds per stage and peak memory, as JSON"
+	@echo "make motion         the motion stage alone: accuracy, coverage, speed, repeatability; writes docs/motion.md"
 	@echo "make simulator-realism  simulated beside measured series: the table of docs/simulator.md"
 	@echo "make simulator-speed    seconds per simulated view, as JSON"
 	@echo "make docs-pictures  draw the pictures of docs/ again"
@@ -55,6 +56,11 @@ accuracy: $(STAMP)
 
 benchmark: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py
+
+motion: $(STAMP)
+	@$(BIN)/python benchmarks/motion.py > .motion.json
+	@$(BIN)/python benchmarks/motion_tables.py .motion.json > docs/motion.md
+	@rm -f .motion.json
 
 simulator-realism: $(STAMP)
 	@$(BIN)/python benchmarks/simulator_realism.py
