@@ -18,7 +18,7 @@ _FREE = "free"
 
 def before_and_after(report: Mapping[str, Any], result: Result) -> str:
     """Return the table of every view's prior beside its posterior, "" for a result that holds no priors."""
-    if not all(view["prior"] for view in report["views"]):
+    if not all(view["prior"] for view in report["views"]) or len(report["inputs"]) < len(report["views"]):
         return ""
     unit = report["length_unit"]
     head = ["View"]

@@ -66,9 +66,9 @@ def require_one_axis(series: TiltSeries) -> None:
         first, far = known[0], int(np.nanargmax(turned))
         raise BadInputError(
             f"the stage was rotated between {series.names[first]} ({np.rad2deg(rotation[first]):.1f} deg) and "
-            f"{series.names[far]} ({np.rad2deg(rotation[far]):.1f} deg): a surface needs views that are tilted about one "
-            "axis. Leave the rotated views out, or correct stage_rotation_deg in series.toml. The cameras of views all "
-            "around a specimen are found by semscape.sfm.full_object.calibrate_full_object, from Python"
+            f"{series.names[far]} ({np.rad2deg(rotation[far]):.1f} deg): a surface needs views that are tilted about "
+            "one axis. Leave the rotated views out, or correct stage_rotation_deg in series.toml. The cameras of views "
+            "all around a specimen are found by semscape.sfm.full_object.calibrate_full_object, from Python"
         )
 
 
