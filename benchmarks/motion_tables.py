@@ -28,6 +28,12 @@ def page(rows: dict[str, Any]) -> str:
         parts.append(_accuracy(series))
     if "objective" in rows:
         parts.append(_objective(rows["objective"]))
+    if "adjustment" in rows:
+        row = rows["adjustment"]
+        parts.append(
+            f"## Bundle adjustment alone\n\n{row['views']} views of {row['points']:,} points: "
+            f"{row['processor_seconds']} s of one core, {row['peak_memory_mb']:.0f} MB.\n"
+        )
     parts += [_rivals(row) for row in rivals.values()]
     if real:
         parts.append(_real(real))

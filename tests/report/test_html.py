@@ -159,9 +159,9 @@ def test_each_view_has_its_prior_beside_its_posterior() -> None:
     text = page_of(told).text
     for words in (
         "-3.00 ± 0.10",
-        "0.00 ± 0.50",
-        "0.00 ± 0.20",
-        "0.000 ± 0.070",
+        "± 0.5",
+        "± 0.2",
+        "± 0.07",
         "The mirror image costs 812 more",
         "the images alone would tell ±7.8 %",
         "A perspective camera fits worse: its information criterion differs by 6.2; taken: orthographic.",
