@@ -48,8 +48,8 @@ def before_and_after(report: Mapping[str, Any], result: Result) -> str:
         )
     return (
         f"<h3>Before and after</h3>{table(head, rows)}"
-        '<p class="quiet">± is 1 σ. Before: what files or user say of the tilts, and what is assumed of the rest, about '
-        "0 (options sfm.prior_…; the anisotropy's σ was learnt from the series). After: with the images. "
+        '<p class="quiet">± is 1 σ. Before: what files or user say of the tilts, and what is assumed of the rest, '
+        "about 0 (options sfm.prior_…; the anisotropy's σ was learnt from the series). After: with the images. "
         f"{escape(' '.join(_decided(result)))}</p>"
     )
 
