@@ -9,6 +9,7 @@ import pytest
 
 from semscape import options
 from semscape.errors import BadInputError
+from semscape.flags import effective_options, with_flags
 from semscape.options import DenseOptions, FeaturesOptions, Options, RobustOptions, RunOptions, SfmOptions, read_toml
 
 STAGES = {
@@ -80,3 +81,11 @@ def test_settings_are_checked_together() -> None:
 def test_an_unknown_detector_names_the_nearest_one() -> None:
     with pytest.raises(BadInputError, match=r"option features\.detector has no choice 'surff'.*'surf'"):
         Options().with_settings(["features.detector=surff"])
+
+
+def test_the_camera_flag_beats_the_settings() -> None:
+    nothing = (None, None, None, None, None)
+    assert effective_options(None, ["sfm.camera=perspective"], *nothing, camera="auto").sfm.camera == "auto"
+    assert effective_options(None, ["sfm.camera=perspective"], *nothing).sfm.camera == "perspective"
+    with pytest.raises(BadInputError, match=r"sfm.camera has no choice 'fisheye'.*orthographic, perspective, auto"):
+        with_flags(Options(), camera="fisheye")

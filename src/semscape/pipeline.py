@@ -28,7 +28,7 @@ from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import Calibration, calibrate
 from semscape.sfm.full_object import calibrate_full_object
 from semscape.sfm.misfit import misfitting_view
-from semscape.sfm.plausibility import require_tilts
+from semscape.sfm.plausibility import require_one_axis, require_tilts
 from semscape.sfm.thesis import thesis_calibration
 from semscape.sfm.tracks import build_tracks
 from semscape.sfm.two_view import Pair, largest_connected_set, match_pair, renumber
@@ -113,6 +113,7 @@ def reconstruct(
     seed = options.run.seed
     stages = _Stages(progress)
     require_tilts(series)
+    require_one_axis(series)
     with nullcontext(mapper) if mapper else local_mapper(workers) as mapper:
         with stages("detect") as figures:
             find = partial(detect, options=options.features)
