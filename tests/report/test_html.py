@@ -58,7 +58,7 @@ def html() -> str:
 def test_the_page_asks_the_network_for_nothing(html: str) -> None:
     page = Page(html)
     assert page.open == []
-    assert len(page.loads) == 4 + RESULT.series.n_views  # each view once, whatever the number of its pairs
+    assert len(page.loads) == 5 + RESULT.series.n_views  # each view once, whatever the number of its pairs
     assert all(load.startswith(("data:image/webp;base64,", "data:image/jpeg;base64,")) for load in page.loads)
     without_script = re.sub(r"<script.*?</script>", "", html, flags=re.DOTALL)
     papers = 'href="https://doi.org/'  # followed by a click alone
@@ -151,7 +151,7 @@ def test_a_result_with_little_known_still_has_a_page() -> None:
     )
     page = page_of(bare)
     assert "height scale: uncertainty unknown" in page.text.lower()
-    assert len(page.loads) == 4  # no pair, no view
+    assert len(page.loads) == 5  # no pair, no view
     without_options_file = page.text.lower().partition("options.toml")[0]  # where nan is a value
     assert "nan" not in without_options_file.split()
 
