@@ -68,7 +68,7 @@ def draw_viewer() -> bytes:
         page.mouse.move(5, 5)
         page.wait_for_timeout(500)
         page.wait_for_selector(".sv-root[data-picture=still]")
-        return page.locator(".sv-root").screenshot()
+        return _dithered(page.locator(".sv-root").screenshot())
 
 
 def draw_report() -> bytes:
@@ -79,7 +79,15 @@ def draw_report() -> bytes:
         page.wait_for_selector(".sv-root[data-picture=still]")
         page.mouse.wheel(0, -5000)
         page.wait_for_timeout(300)
-        return page.screenshot()
+        return _dithered(page.screenshot())
+
+
+def _dithered(png: bytes) -> bytes:
+    """Return a picture with few colours, its shades dithered: a surface in 256 plain colours has steps."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(png)) as image:
+        return _png(image.convert("RGB").quantize(_COLOURS, dither=Image.Dither.FLOYDSTEINBERG))
 
 
 @contextmanager
@@ -90,7 +98,7 @@ def _report_in_browser(scheme: Literal["light", "dark"] = "light") -> Iterator[P
         path = Path(folder) / "report.html"
         path.write_text(render_html(_readme_result()), encoding="utf-8")
         browser = driver.chromium.launch(executable_path=find_chromium(), args=CHROMIUM_FLAGS)
-        page = browser.new_page(viewport={"width": 1280, "height": 1020}, color_scheme=scheme)
+        page = browser.new_page(viewport={"width": 1360, "height": 1000}, color_scheme=scheme)
         page.goto(path.as_uri())
         page.wait_for_selector(".sv-root[data-picture=still]")
         page.locator(".sv-views").scroll_into_view_if_needed()
