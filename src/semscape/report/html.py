@@ -143,12 +143,13 @@ def _surface(result: Result) -> str:
     )
     still = f'<div class="wide">{pictures[0]}</div><div class="two">{pictures[1]}{pictures[2]}</div>'
     unknown = unknown_html(result.height_map)
+    gaps = f"<section><h2>Views and gaps</h2>{unknown}</section>" if unknown else ""
     if viewer_script() is None:
         note = "The 3D viewer is not built in this installation of semscape: <code>make web</code> does it."
-        return f'<section><h2>Surface</h2><p class="quiet">{note}</p>{still}{unknown}</section>'
+        return f'<section><h2>Surface</h2><p class="quiet">{note}</p>{still}</section>{gaps}'
     # With scripts the viewer shows all three; the pictures are for paper, and where no script may run.
-    parts = f'{viewer_parts(result)}<div class="still">{still}</div>{unknown}'
-    return f'<section class="surface"><h2>Surface</h2>{parts}</section>'
+    parts = f'{viewer_parts(result)}<div class="still">{still}</div>'
+    return f'<section class="surface"><h2>Surface</h2>{parts}</section>{gaps}'
 
 
 def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
