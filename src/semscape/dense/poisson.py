@@ -1,10 +1,10 @@
 """A closed surface through oriented points: screened Poisson reconstruction on a regular grid.
 
-The indicator of a body, 1 inside and 0 outside, changes at its surface alone, and there along the normal. So its gradient
-is known where points with normals are, and the indicator solves a Poisson equation; the screening pulls it to 1/2 at the
-points (Kazhdan & Hoppe 2013). On a regular grid Fourier transforms solve the plain equation at once, and a few rounds
-of conjugate gradients with that as the preconditioner the screened one. The surface is cut out of tetrahedra, which
-leaves no hole and no edge with other than two triangles.
+The indicator of a body, 1 inside and 0 outside, changes at its surface alone, and there along the normal. So its
+gradient is known where points with normals are, and the indicator solves a Poisson equation; the screening pulls it to
+1/2 at the points (Kazhdan & Hoppe 2013). On a regular grid Fourier transforms solve the plain equation at once, and a
+few rounds of conjugate gradients with that as the preconditioner the screened one. The surface is cut out of
+tetrahedra, which leaves no hole and no edge with other than two triangles.
 """
 
 from __future__ import annotations
