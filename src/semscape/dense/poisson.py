@@ -133,8 +133,8 @@ def _indicator(samples: OrientedPoints, at_points: csr_array, shape: tuple[int, 
 def level_surface(values: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return the surface where a grid (X, Y, Z) is zero: vertices in nodes, faces with the positive side inside.
 
-    It is closed if no positive value lies on the border: every cube is cut into six tetrahedra along one diagonal, alike
-    in all cubes, so that neighbours share their faces.
+    It is closed if no positive value lies on the border: every cube is cut into six tetrahedra along one diagonal,
+    alike in all cubes, so that neighbours share their faces.
 
     Examples
     --------

@@ -39,8 +39,8 @@ class _Surface:
 def register_maps(maps: Sequence[PlacedMap]) -> list[PlacedMap]:
     """Move maps so that they agree where they overlap, the first one least.
 
-    The map that shares most with the others stays; one after the other is laid onto those that lie already, then each onto
-    all others. A map that overlaps with none stays as it was.
+    The map that shares most with the others stays; one after the other is laid onto those that lie already, then each
+    onto all others. A map that overlaps with none stays as it was.
 
     Parameters
     ----------

@@ -42,8 +42,8 @@ def map_samples(placed: PlacedMap) -> Samples:
     height_map = placed.height_map
     pixel = height_map.pixel_size_um
     height = np.where(height_map.specimen, height_map.height_um, np.nan)
-    by_row, by_col = np.gradient(height / pixel)
-    cosine = np.asarray(1 / np.sqrt(1 + by_row**2 + by_col**2), np.float64)
+    by_row, by_col = (np.asarray(slope, np.float64) for slope in np.gradient(height / pixel))
+    cosine = 1 / np.sqrt(1 + by_row**2 + by_col**2)
     used = binary_erosion(np.isfinite(height), iterations=_MARGIN_PX) & (np.nan_to_num(cosine) >= _MOST_OBLIQUE)
     row, col = np.nonzero(used)
     grid = np.column_stack([col, row, height[used], np.ones(len(row))])
