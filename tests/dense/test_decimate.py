@@ -7,7 +7,6 @@ import pytest
 
 from semscape.dense.decimate import decimate, finished_mesh
 from semscape.dense.mesh import height_map_mesh
-from semscape.errors import BadInputError
 from semscape.options import MeshOptions
 from semscape.types import HeightMap
 
@@ -80,8 +79,3 @@ def test_the_micrograph_lies_where_it_was_seen() -> None:
     small, _ = finished_mesh(height_map, 10**6, MeshOptions(texture_px=30))
     assert small.picture is not None
     assert small.picture.shape == (30, 30)
-
-
-def test_an_error_of_nothing_is_refused() -> None:
-    with pytest.raises(BadInputError, match=r"mesh\.error_um is 0, must be > 0"):
-        MeshOptions(error_um=0.0)

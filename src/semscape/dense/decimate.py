@@ -37,7 +37,7 @@ def finished_mesh(
     (thinned to two million vertices) is the mesh that the distances are told to.
     """
     figures: dict[str, float] = {}
-    if options.triangles or not np.isnan(options.error_um):
+    if options.triangles or options.error_um:
         mesh = height_map_mesh(height_map, max_vertices=_FULL_VERTICES)
         figures["n_faces_full"] = len(mesh.faces)
         if len(mesh.faces):
@@ -87,7 +87,7 @@ def decimate(mesh: SurfaceMesh, options: MeshOptions) -> tuple[SurfaceMesh, Mesh
     (True, True)
     """
     full = make_tree(mesh.vertices_um[mesh.faces])
-    within = options.error_um if np.isfinite(options.error_um) else np.inf
+    within = options.error_um or np.inf
     enough = len(mesh.faces)
     too_few = max(options.triangles, _FEWEST) if options.triangles else _FEWEST
     if too_few >= enough:

@@ -95,7 +95,7 @@ def _votes(points: FloatArray, others: Sequence[PlacedMap]) -> tuple[FloatArray,
     world = np.column_stack([points, np.ones(len(points))])
     for placed in others:
         height_map = placed.height_map
-        grid_from_world = np.linalg.inv(placed.world_from_group @ height_map.world_from_grid)
+        grid_from_world = np.linalg.inv(placed.world_from_grid)
         col, row, level, _ = grid_from_world @ world.T
         rows, columns = height_map.height_um.shape
         r, c = np.rint(row).astype(np.int64), np.rint(col).astype(np.int64)

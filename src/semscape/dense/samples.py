@@ -47,11 +47,10 @@ def map_samples(placed: PlacedMap) -> Samples:
     used = binary_erosion(np.isfinite(height), iterations=_MARGIN_PX) & (np.nan_to_num(cosine) >= _MOST_OBLIQUE)
     row, col = np.nonzero(used)
     grid = np.column_stack([col, row, height[used], np.ones(len(row))])
-    world_from_grid = placed.world_from_group @ height_map.world_from_grid
     # The first row has the largest y: down the rows is down in y.
     normal = np.column_stack([-by_col[used], by_row[used], np.ones(len(row))]) * cosine[used][:, None]
     return Samples(
-        (grid @ world_from_grid.T)[:, :3],
+        (grid @ placed.world_from_grid.T)[:, :3],
         normal @ placed.world_from_group[:3, :3].T,
         pixel**2 / cosine[used],
         grey_levels(height_map.texture)[used].astype(np.float64),

@@ -45,7 +45,7 @@ def write_full_object(
     """
     path = make_folder(folder)
     mesh, decimation = found.merged.mesh, None
-    if options.mesh.triangles or not math.isnan(options.mesh.error_um):
+    if options.mesh.triangles or options.mesh.error_um:
         mesh, decimation = decimate(mesh, options.mesh)
     files = {"merged.ply": encode_mesh_ply(mesh), "merged.glb": encode_mesh_glb(mesh)}
     for index, placed in enumerate(found.maps):
@@ -92,7 +92,7 @@ def _figures(
             {
                 "views": [names[view] for view in placed.views],
                 "file": f"height_map_{index:02d}.npz",
-                "world_from_grid": placed.world_from_group @ placed.height_map.world_from_grid,
+                "world_from_grid": placed.world_from_grid,
                 "completeness": float(np.isfinite(placed.height_map.height_um).mean()),
             }
             for index, placed in enumerate(found.maps)
