@@ -48,7 +48,7 @@ def html() -> str:
 def test_the_page_asks_the_network_for_nothing(html: str) -> None:
     page = Page(html)
     assert page.open == []
-    assert len(page.loads) == 5
+    assert len(page.loads) == 6
     assert all(load.startswith("data:image/png;base64,") for load in page.loads)
     assert "http" not in re.sub(r"data:[^\"]*|http-equiv", "", html)
     assert "<script" not in html
@@ -140,5 +140,5 @@ def test_a_result_with_little_known_still_has_a_page() -> None:
     )
     page = page_of(bare)
     assert "height scale: uncertainty unknown" in page.text.lower()
-    assert len(page.loads) == 4
+    assert len(page.loads) == 5
     assert "nan" not in page.text.lower().split()
