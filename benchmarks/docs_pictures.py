@@ -1,7 +1,8 @@
 """Draw the pictures of docs/ (`make docs-pictures`): hillshades of the measured series, the one of the README,
 and the pair with a fixed threshold and a contrario.
 
-Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens, matching.
+Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens, matching,
+coverage, full-object.
 """
 
 from __future__ import annotations
@@ -15,12 +16,16 @@ import numpy as np
 from PIL.Image import fromarray
 
 import semscape
+from full_object import all_around
 from isolated import REAL_SETS, REPOSITORY, absent, real_set_folder
 from semscape.experiments.matching import FIXED_THRESHOLDS_PX
 from semscape.experiments.matching_pairs import simulated_pair
 from semscape.experiments.study import Setting
+from semscape.pipeline import reconstruct_full_object
 from semscape.report.figures import hillshade_picture
+from semscape.report.full_object import sides_picture
 from semscape.report.hillshade import hillshade
+from semscape.report.unknown import coverage_picture
 from semscape.simulate import PRESETS, SPECIMENS, acquire, simulate
 from semscape.types import Result
 
@@ -33,6 +38,8 @@ _LARGE_BYTES = 400_000
 _COLOURS = 256
 _README_SPECIMEN = "pollen"
 _TILE_PX = 240
+_COVERAGE_PX = 400
+_FULL_OBJECT_PX = 320
 
 
 def draw_real(name: str) -> bytes:
@@ -62,6 +69,18 @@ def draw_specimens() -> bytes:
     tiles.append(acquire("pollen", replace(options, detector="bse-4"), rng=0).segments[0].views[0].image)
     rows = [np.hstack(tiles[start : start + 4]) for start in (0, 4)]
     return _png(fromarray(np.vstack(rows).astype(np.uint8)))
+
+
+def draw_coverage() -> bytes:
+    """Return where a simulated grain's heights are known from how many views, and why not elsewhere."""
+    options = replace(PRESETS["hard"], width_px=_COVERAGE_PX, height_px=_COVERAGE_PX)
+    return coverage_picture(semscape.reconstruct(simulate("pollen", options, rng=0)[0], rng=0).height_map)
+
+
+def draw_full_object() -> bytes:
+    """Return a simulated spiny sphere, merged from views all around, from four sides."""
+    found, *_ = reconstruct_full_object(all_around(_FULL_OBJECT_PX).series, rng=0)
+    return sides_picture(found.merged.mesh)
 
 
 def _side_by_side(result: Result) -> bytes:
@@ -117,7 +136,13 @@ def _png(image: Image) -> bytes:
     return buffer.getvalue()
 
 
-_SIMULATED = {"readme": draw_readme, "specimens": draw_specimens, "matching": draw_matching}
+_SIMULATED = {
+    "readme": draw_readme,
+    "specimens": draw_specimens,
+    "matching": draw_matching,
+    "coverage": draw_coverage,
+    "full-object": draw_full_object,
+}
 
 
 def main(names: list[str]) -> None:

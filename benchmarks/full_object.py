@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from isolated import Case, peak_memory_mb, run_cases, timed
 
+if TYPE_CHECKING:
+    from semscape.simulate.all_around import AllAround
+
+_RADIUS = 0.33
 _RING_DEG = range(0, 360, 36)
 _STOPS = ((0.0, (-6.0, 0.0, 6.0)), (0.0, (18.0, 24.0)), *((float(turn), (36.0, 42.0, 48.0)) for turn in _RING_DEG))
+
+
+def all_around(side_px: int) -> AllAround:
+    """Return 35 views of a spiny sphere: from above, and three tilts at ten rotations of the stage."""
+    from semscape.simulate import PRESETS
+    from semscape.simulate.all_around import simulate_all_around, spiny_sphere
+
+    options = replace(PRESETS["nominal"], width_px=side_px, height_px=side_px, samples=1, shift_px=3.0)
+    radius_um = _RADIUS * side_px * options.pixel_size_um
+    return simulate_all_around(spiny_sphere(radius_um, 60), _STOPS, options, rng=0)
 
 
 def measure(side_px: int) -> dict[str, Any]:
@@ -21,13 +35,10 @@ def measure(side_px: int) -> dict[str, Any]:
     from semscape.evaluate.surface import make_surface
     from semscape.evaluate.units import Units
     from semscape.pipeline import reconstruct_full_object
-    from semscape.simulate import PRESETS
-    from semscape.simulate.all_around import simulate_all_around, spiny_sphere
 
-    options = replace(PRESETS["nominal"], width_px=side_px, height_px=side_px, samples=1, shift_px=3.0)
-    pixel = options.pixel_size_um
-    radius = 0.33 * side_px * pixel
-    taken = simulate_all_around(spiny_sphere(radius, 60), _STOPS, options, rng=0)
+    taken = all_around(side_px)
+    pixel = float(taken.series.pixel_size_um[0])
+    radius = _RADIUS * side_px * pixel
     (found, stages, failures), seconds = timed(reconstruct_full_object, taken.series, rng=0)
     true_vertices, true_faces = taken.specimen.vertices_um, taken.specimen.faces
     within_reach = true_vertices[true_faces].mean(axis=1)[:, 2] > -0.4 * radius
