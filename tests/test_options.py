@@ -10,13 +10,23 @@ import pytest
 from semscape import options
 from semscape.errors import BadInputError
 from semscape.flags import effective_options, with_flags
-from semscape.options import DenseOptions, FeaturesOptions, Options, RobustOptions, RunOptions, SfmOptions, read_toml
+from semscape.options import (
+    DenseOptions,
+    FeaturesOptions,
+    MeshOptions,
+    Options,
+    RobustOptions,
+    RunOptions,
+    SfmOptions,
+    read_toml,
+)
 
 STAGES = {
     "features": FeaturesOptions,
     "robust": RobustOptions,
     "sfm": SfmOptions,
     "dense": DenseOptions,
+    "mesh": MeshOptions,
     "run": RunOptions,
 }
 
@@ -44,6 +54,9 @@ STAGES = {
         ("dense.refine_sigma_px", 0.4, ">= 0.5"),
         ("dense.refine_iterations", 0, ">= 1"),
         ("dense.mesh_max_vertices", 3, ">= 4"),
+        ("dense.tile_px", -1, ">= 0"),
+        ("mesh.triangles", -1, ">= 0"),
+        ("mesh.error_um", -0.5, ">= 0"),
         ("run.seed", -1, ">= 0"),
     ],
 )
