@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from synthetic_result import make_result
 
 from semscape.report.summary import reason_shares
 from semscape.report.unknown import coverage_picture, unknown_html
 from semscape.types import HeightMap, Reason
+from synthetic_result import make_result
 
 
 @pytest.fixture(scope="module")
