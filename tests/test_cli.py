@@ -325,3 +325,12 @@ def test_simulate_keeps_foreign_files(tmp_path: Path) -> None:
     assert done.exit_code == 2
     assert "holiday.tif" in done.stderr
     assert (tmp_path / "holiday.tif").exists()
+
+
+def test_keep_says_what_is_kept(images: Path, tmp_path: Path, seen: dict[str, Any]) -> None:
+    ended = run("reconstruct", images, "-o", tmp_path / "run", "--tilts", "-3,0,3", "--keep", "specimen")
+    assert ended.exit_code == 0, ended.output
+    assert seen["options"].dense.keep == "specimen"
+    ended = run("reconstruct", images, "-o", tmp_path / "other", "--tilts", "-3,0,3", "--keep", "specimens")
+    assert ended.exit_code == 2
+    assert "the nearest one is 'specimen'" in ended.output

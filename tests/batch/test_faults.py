@@ -271,7 +271,7 @@ def test_a_signal_ends_a_run_that_can_be_resumed(images: Path, tmp_path: Path, u
 # Memory
 
 
-@pytest.mark.parametrize(("stage", "advice"), [("detect", "features.max_keypoints"), ("surface", "dense.max_pairs=2")])
+@pytest.mark.parametrize(("stage", "advice"), [("detect", "features.max_keypoints"), ("surface", "dense.tile_px=512")])
 def test_a_lack_of_memory_names_the_stage_and_what_to_reduce(images, tmp_path, stage: str, advice: str) -> None:
     def lack(name: str, _: Any) -> None:
         if name == stage:

@@ -36,7 +36,7 @@ _REDUCE = {
     "detect": "--set features.max_keypoints=10000, or smaller images",
     "match": "--set features.max_keypoints=10000",
     "calibrate": "--set features.max_keypoints=10000",
-    "surface": "--set dense.max_pairs=2, or smaller images",
+    "surface": "--set dense.tile_px=512, or smaller images",
     "mesh": "--set dense.mesh_max_vertices=100000",
     "report": "--set dense.mesh_max_vertices=100000",
 }

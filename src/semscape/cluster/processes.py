@@ -65,7 +65,7 @@ class Worker:
         how = f"by signal {signal.Signals(-status).name}" if status < 0 else f"with exit code {status}"
         advice = (
             "; this is most often the system's lack of memory: fewer --workers, smaller images, "
-            "or --set dense.max_pairs=2 and --set features.max_keypoints=10000"
+            "or --set dense.tile_px=512 and --set features.max_keypoints=10000"
         )
         raise WorkerLostError(
             f"the worker process was ended {how}{stage}, {_MOST_ATTEMPTS} times{advice if status == -9 else ''}"
