@@ -4,15 +4,18 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/setup-done
-CODE := src tests benchmarks examples
+CODE := src tests benchmarks examples web
+BUNDLE := src/semscape/web/digest.txt
+WEB_SOURCES := $(shell find web/src -type f) web/package-lock.json web/bundle_web.py
 
-.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
+.PHONY: help setup web web-check demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
 	simulator-speed clean
 
 help:
 	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
 	@echo "make test           the whole test suite"
 	@echo "make setup          only build .venv (the others do so where it is needed)"
+	@echo "make web            bundle web/src into the package again, after a change"
 	@echo "make lint           style and types"
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
@@ -36,10 +39,25 @@ $(STAMP): pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
 	@touch $(STAMP)
 
-demo: $(STAMP)
+# Setting up has bundled the web parts; this is for later changes of them.
+$(BUNDLE): $(WEB_SOURCES) | $(STAMP)
+	@$(BIN)/python web/bundle_web.py
+	@touch $(BUNDLE)
+
+web: $(BUNDLE)
+
+web/node_modules/.checked: web/package-lock.json
+	@cd web && npm ci --no-audit --no-fund --ignore-scripts --loglevel=error
+	@touch $@
+
+# TypeScript's own check; esbuild only strips the types.
+web-check: web/node_modules/.checked
+	@cd web && npm run --silent types
+
+demo: $(STAMP) $(BUNDLE)
 	@$(BIN)/semscape demo --output demo
 
-test: $(STAMP)
+test: $(STAMP) $(BUNDLE)
 	@$(BIN)/python -m pytest
 
 lint: $(STAMP)
@@ -71,6 +89,7 @@ docs-experiments: $(STAMP)
 	@rm -f docs/experiments.html
 
 clean:
+	rm -rf web/node_modules src/semscape/web
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist demo
 	find src tests benchmarks examples -depth -name __pycache__ -exec rm -rf {} +
 	find src -depth -name '*.egg-info' -exec rm -rf {} +
