@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from PIL import Image
 
 from semscape.app.workspace import UnknownRunError
-from semscape.io.finished_run import FinishedRun, read_finished_run
+from semscape.io.finished_run import FinishedRun, read_finished_run, read_finished_views
 from semscape.io.inspect import describe_series
 from semscape.io.micrograph import read_micrograph
 from semscape.io.run_folder import plain_json, put_files
@@ -24,6 +25,7 @@ from semscape.metrology.request import MeasureRequest
 from semscape.options import ConvertOptions, MeasureOptions
 from semscape.report.conversion import convert
 from semscape.report.measurement import measure_run, measured_to_dict
+from semscape.report.surface_file import cameras_of, encode_surface
 from semscape.report.thumbnail import thumbnail_png
 from semscape.types import Reconstruction
 
@@ -54,7 +56,7 @@ def describe_images(folder: Path) -> dict[str, Any]:
     return described
 
 
-def draw_image(path: Path, target: Path, longest_px: int) -> None:
+def draw_image(path: Path, longest_px: int, target: Path) -> None:
     """Write a small PNG of a micrograph, its grey values stretched between the 0.5 and 99.5 percentiles."""
     image = read_micrograph(path).image
     stride = max(1, min(image.shape) // longest_px)
@@ -95,6 +97,22 @@ def sparse_points(work: Path) -> bytes:
         raise UnknownRunError("the points are not there yet: they appear when the tilts have been found") from error
     thinned = points[:: max(1, -(-len(points) // _MOST_PREVIEW_POINTS))]
     return thinned[np.isfinite(thinned).all(axis=1)].astype("<f4").tobytes()
+
+
+def write_surface(run: Path, target: Path) -> None:
+    """Write what the viewer shows of a finished run (see `semscape.report.surface_file`)."""
+    finished, views = _finished(run), read_finished_views(run)
+    points = None
+    if (run / "points.ply").is_file():
+        points = np.asarray(trimesh.load(run / "points.ply").vertices, dtype=np.float64)  # type: ignore[attr-defined]
+    surface = encode_surface(
+        finished.height_map,
+        name=run.name,
+        cameras=cameras_of(views.motion, views.reference, views.names),
+        points_um=points,
+        height_scale_relative_sigma=finished.height_scale_relative_sigma,
+    )
+    put_files({target.name: surface}, target.parent)
 
 
 def measured(run: Path, settings: Mapping[str, Any], places: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ A name from outside is looked up among what is there; no path is ever made of it
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -24,6 +25,7 @@ from semscape.errors import BadInputError
 from semscape.io.image_file import IMAGE_SUFFIXES
 from semscape.io.run_folder import RUN_FORMAT, WORK_NAME, make_folder
 from semscape.io.series import natural_key
+from semscape.io.series_toml import SIDECAR_NAME
 
 IMAGES_NAME, APP_NAME, REMOVED_NAME = "images", ".semscape-app", "removed"
 _MOST_REPORT_BYTES = 64_000_000
@@ -63,6 +65,13 @@ class Run:
         found = [name for name in _plain_files(self.images) if Path(name).suffix.lower() in IMAGE_SUFFIXES]
         return sorted(found, key=natural_key)
 
+    def originals(self) -> dict[str, str]:
+        """Return what each file among the images was called before it came here, by its stored name."""
+        if self.images is None:
+            return {}
+        files = [name for name in _plain_files(self.images) if name != SIDECAR_NAME]
+        return {name: self.state.originals.get(name, name) for name in files}
+
     def require_idle(self) -> None:
         """Raise `BusyRunError` where the images must stay as they are."""
         if self.state.is_busy:
@@ -99,7 +108,11 @@ class Workspace:
         """Return the names of all runs, naturally sorted."""
         made = {name for name in _plain_folders(self.folder) if _is_run(self.folder / name)}
         made -= {IMAGES_NAME, REMOVED_NAME}
-        with_images = {name for name in _plain_folders(self._images) if _has_no_links(self._images / name)}
+        with_images = {
+            name
+            for name in _plain_folders(self._images)
+            if _has_no_links(self._images / name) and _has_no_links_or_is_absent(self.folder / name)
+        }
         return sorted(made | with_images, key=natural_key)
 
     def runs(self) -> list[Run]:
@@ -116,7 +129,7 @@ class Workspace:
         """
         found = next((known for known in self.names() if known == name), None)
         if found is None:
-            raise UnknownRunError("there is no such run in the workspace; it may have been removed: go back to the list")
+            raise UnknownRunError("there is no such run in the workspace; it may have been removed")
         return self._run(found)
 
     def create(self, title: str) -> Run:
@@ -166,9 +179,14 @@ class Workspace:
         except (OSError, ValueError, RecursionError):
             return {}
 
-    def cached(self, name: str) -> Path:
-        """Return where a file that can be made again is kept."""
-        return make_folder(self.app_folder / "cache") / name
+    @property
+    def cache(self) -> Path:
+        """Folder of files that can be made again."""
+        return make_folder(self.app_folder / "cache")
+
+    def cached(self, *key: str) -> Path:
+        """Return where a file that can be made again is kept, by what it was made from."""
+        return self.cache / hashlib.sha256("\0".join(key).encode("utf-8", "surrogateescape")).hexdigest()
 
     def clear_cache(self) -> None:
         """Remove everything that can be made again."""
@@ -233,4 +251,4 @@ def _is_run(folder: Path) -> bool:
 
 
 def _has_no_links_or_is_absent(folder: Path) -> bool:
-    return not folder.exists() or _has_no_links(folder)
+    return not folder.is_symlink() and (not folder.exists() or _has_no_links(folder))
