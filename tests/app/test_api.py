@@ -127,7 +127,11 @@ def test_several_runs_queue_in_their_order(client: TestClient, master_images: Pa
         client.post(f"/api/runs/{name}/reconstruct", json={})
         names.append(name)
     wait_for(client, "first", "running")
-    assert {run["name"]: run["place"] for run in client.get("/api/runs").json()} == {"first": 0, "second": 1, "third": 2}
+    assert {run["name"]: run["place"] for run in client.get("/api/runs").json()} == {
+        "first": 0,
+        "second": 1,
+        "third": 2,
+    }
     assert client.post("/api/runs/second/reconstruct", json={}).status_code == 409
     assert client.post("/api/runs/second/cancel").json()["state"] == "cancelled"
     jobs.started[0].go.set()
@@ -137,9 +141,7 @@ def test_several_runs_queue_in_their_order(client: TestClient, master_images: Pa
     assert [job.run.name for job in jobs.started] == ["first", "third"]
 
 
-def test_a_run_that_is_made_can_be_cancelled_and_asked_for_again(
-    client: TestClient, uploaded: str, jobs: Jobs
-) -> None:
+def test_a_run_that_is_made_can_be_cancelled_and_asked_for_again(client: TestClient, uploaded: str, jobs: Jobs) -> None:
     client.post(f"/api/runs/{uploaded}/reconstruct", json={})
     wait_for(client, uploaded, "running")
     busy = client.put(f"/api/runs/{uploaded}/cells", json={"key": "pixel_size_um", "value": 0.3})

@@ -1,1 +1,3 @@
-document.body.textContent = "semscape";
+import { start } from "./app/start";
+
+void start(document.body);

@@ -8,6 +8,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from semscape.io.run_folder import plain_json
+
 STAGES = ("detect", "match", "calibrate", "surface", "mesh", "report")
 """The stages of a run in their order."""
 
@@ -51,7 +53,7 @@ def read_progress(log: Path) -> tuple[StageProgress, ...]:
                 stages.clear()  # a run that goes on after an interruption begins its log anew
             stages[name] = StageProgress(name, time_s, None, {})
         elif message.endswith(" ended") and name in stages:
-            figures = told.get("figures")
+            figures = plain_json(told.get("figures"))  # a log may hold NaN, which is no JSON
             taken = max(0.0, round(time_s - stages[name].began_s, 3))
             stages[name] = StageProgress(
                 name, stages[name].began_s, taken, figures if isinstance(figures, dict) else {}

@@ -36,6 +36,6 @@ class Snapshots:
         """Return all runs as one line of JSON."""
         with self._lock:
             if time.monotonic() - self._made_s > _LIFE_S:
-                self._text = json.dumps([run.model_dump() for run in self.runs()], ensure_ascii=True)
+                self._text = json.dumps([run.model_dump() for run in self.runs()], allow_nan=False)
                 self._made_s = time.monotonic()
             return self._text

@@ -42,6 +42,7 @@ class Summary(BaseModel):
     grade: Grade = Field(description="How far the result may be trusted")
     verdict: str
     message: str = Field(description="Why it failed, and what to do")
+    settings: list[str] = Field(description="Options that were given for it, as `--set` takes them")
     has_preview: bool
     stages: list[Stage] = Field(description="Of a run that is being made, or was interrupted")
     revision: str = Field(description="Changes whenever anything of the result does")
@@ -81,6 +82,7 @@ def summarize(workspace: Workspace, run: Run, waiting: Sequence[str] = ()) -> Su
         grade=next((grade for grade in _GRADES if verdict.startswith(grade)), ""),
         verdict=verdict,
         message=_message(run, state, made_elsewhere),
+        settings=list(run.state.settings),
         has_preview=unfinished and (run.work / "calibrate.value").is_file(),
         stages=_stages(progress, state == "running") if unfinished and (progress or state == "running") else [],
         revision=_revision(run),
