@@ -119,6 +119,7 @@ HOSTILE_NAMES = [
     "/etc/evil.tif",
     "C:\\Windows\\evil.tif",
     "CON.tif",
+    "con.x.tif",
     ".hidden.tif",
     "a\0b.tif",
     "a\nb.tif",
@@ -140,14 +141,16 @@ def test_a_name_from_the_browser_never_becomes_a_path(
     answer = client.put(f"/api/runs/{name}/files", params={"filename": original}, content=b"content")
     images = workspace.folder / "images" / name
     assert images.parent == workspace.folder / "images"
-    assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name)
+    assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name)
+    assert ".." not in name
     written = [path for path in tmp_path.rglob("*") if path.is_file() and path.read_bytes() == b"content"]
     assert answer.status_code in (200, 400)
     assert len(written) == (answer.status_code == 200)
     for path in written:
         assert path.parent == images
-        assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*\.tif", path.name)
-        assert path.stem.lower() != "con"
+        assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*\.tif", path.name)
+        assert ".." not in path.name
+        assert path.name.partition(".")[0].lower() != "con"
 
 
 @pytest.mark.parametrize("kind", ["evil.exe", "evil", "evil.html", "evil.toml", "evil.json", ".semscape-app.json"])

@@ -17,7 +17,8 @@ from semscape.io.image_file import IMAGE_SUFFIXES
 SIDECAR_SUFFIXES = (".txt", ".hdr")
 _MOST_CHARACTERS = 60
 _MOST_TITLE = 120
-_RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(-.*)?")
+_NO_END = "-_.+"
+_RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)([.-].*)?")
 
 
 def stored_name(original: str, stored: Mapping[str, str]) -> str:
@@ -42,7 +43,9 @@ def stored_name(original: str, stored: Mapping[str, str]) -> str:
     --------
     >>> stored_name("../Pollen (3).TIF", {})
     'Pollen-3.tif'
-    >>> stored_name("pollen 3.tif", {"pollen-3.tif": "pollen+3.tif"})
+    >>> stored_name("view+3.5deg.tif", {})
+    'view+3.5deg.tif'
+    >>> stored_name("pollen 3.tif", {"pollen-3.tif": "pollen#3.tif"})
     'pollen-3-2.tif'
     """
     name = displayed_name(original)
@@ -87,7 +90,8 @@ def _split(name: str) -> tuple[str, str]:
 
 def _plain(text: str, instead: str) -> str:
     letters = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
-    plain = re.sub(r"[^A-Za-z0-9_]+", "-", letters).strip("-_")[:_MOST_CHARACTERS].strip("-_")
+    plain = re.sub(r"\.{2,}", "-", re.sub(r"[^A-Za-z0-9_.+-]+", "-", letters))
+    plain = plain.strip(_NO_END)[:_MOST_CHARACTERS].strip(_NO_END)
     return f"{instead}-{plain}" if _RESERVED.fullmatch(plain) else plain or instead
 
 

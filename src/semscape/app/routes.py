@@ -18,6 +18,7 @@ from starlette.background import BackgroundTask
 
 from semscape.app import calculations
 from semscape.app.desk import Desk
+from semscape.app.plain_words import plain_words
 from semscape.app.requests import CellEdit, MeasureQuestion, NewRun, ReconstructRequest, convert_settings
 from semscape.app.run_queue import RunQueue
 from semscape.app.security import REPORT_POLICY
@@ -287,6 +288,6 @@ def result_routes(parts: Parts) -> APIRouter:
         """Measure the surface: ISO 25178 parameters of the whole or a region, profile, step, angle, distance."""
         run, _ = finished(name)
         answer: dict[str, Any] = desk.do(calculations.measured, run.folder, body.settings(), body.places())
-        return answer
+        return answer | {"warnings": [plain_words(text) for text in answer["warnings"]]}
 
     return router

@@ -43,6 +43,8 @@ class Summary(BaseModel):
     verdict: str
     message: str = Field(description="Why it failed, and what to do")
     settings: list[str] = Field(description="Options that were given for it, as `--set` takes them")
+    sign_is_assumed: bool = Field(description="Whether nothing but shading gives the sign of the relief")
+    picture: str = Field(description="Stored name of an image that stands for it; empty if it has none")
     has_preview: bool
     stages: list[Stage] = Field(description="Of a run that is being made, or was interrupted")
     revision: str = Field(description="Changes whenever anything of the result does")
@@ -68,6 +70,7 @@ def summarize(workspace: Workspace, run: Run, waiting: Sequence[str] = ()) -> Su
         state = "done"
     elif state == "done" and not run.has_result:
         state = "draft" if run.images else "failed"
+    images = run.image_names()
     unfinished = state in ("running", "failed", "cancelled", "queued")
     progress = read_progress(run.work / LOG_NAME) if unfinished else ()
     return Summary(
@@ -75,7 +78,7 @@ def summarize(workspace: Workspace, run: Run, waiting: Sequence[str] = ()) -> Su
         title=run.state.title or run.name,
         state=state,
         place=waiting.index(run.name) + 1 if run.name in waiting else 0,
-        n_images=len(run.image_names()) if run.images else len(inputs) if isinstance(inputs, list) else 0,
+        n_images=len(images) if run.images else len(inputs) if isinstance(inputs, list) else 0,
         has_images=run.images is not None,
         has_result=run.has_result,
         is_stale=run.has_result and run.state.edited,
@@ -83,6 +86,8 @@ def summarize(workspace: Workspace, run: Run, waiting: Sequence[str] = ()) -> Su
         verdict=verdict,
         message=_message(run, state, made_elsewhere),
         settings=list(run.state.settings),
+        sign_is_assumed=report.get("ambiguity") == "reflection",
+        picture=images[len(images) // 2] if images else "",
         has_preview=unfinished and (run.work / "calibrate.value").is_file(),
         stages=_stages(progress, state == "running") if unfinished and (progress or state == "running") else [],
         revision=_revision(run),

@@ -22,6 +22,8 @@ export interface Run {
   verdict: string;
   message: string;
   settings: string[];
+  sign_is_assumed: boolean;
+  picture: string;
   has_preview: boolean;
   stages: Stage[];
   revision: string;

@@ -128,7 +128,7 @@ export class RunPage {
           "data-action": "reconstruct",
           disabled: run.n_images < 2,
         }),
-        run.has_result
+        run.has_result && (run.sign_is_assumed || this.mirror.checked)
           ? el("span", { class: "check" }, this.mirror, el("label", { for: this.mirror.id }, "Mirror the relief (hills look like pits)"))
           : null,
       );

@@ -62,7 +62,9 @@ export class RunsPage {
     const href = `#/run/${encodeURIComponent(run.name)}`;
     const picture = run.has_result
       ? el("img", { src: `${address(run.name, "thumbnail")}?${run.revision}`, alt: "", loading: "lazy" })
-      : el("span", { class: "no-picture", "aria-hidden": "true" });
+      : run.picture
+        ? el("img", { src: address(run.name, "images", run.picture), alt: "", loading: "lazy" })
+        : el("span", { class: "no-picture", "aria-hidden": "true" });
     const stage = run.stages.find((one) => one.state === "running");
     const told = run.message || (stage ? `${stageText(stage)} …` : run.has_result ? run.verdict : lastFigures(run));
     return el(

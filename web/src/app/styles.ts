@@ -44,6 +44,8 @@ button:hover:not(:disabled), .button:hover { border-color: var(--accent); color:
 button.primary, .button.primary { background: var(--accent); border-color: var(--accent); color: var(--on-accent); }
 button.primary:hover:not(:disabled), .button.primary:hover { color: var(--on-accent); filter: brightness(1.1); }
 button.plain { border-color: transparent; background: none; font-weight: 500; color: var(--accent); padding: 0.3rem 0.5rem; }
+button, .button { white-space: nowrap; }
+.run .row { flex: none; }
 button:disabled { opacity: 0.5; cursor: default; }
 .button:focus-within { outline: 3px solid var(--accent); outline-offset: 2px; }
 input[type="text"], select, textarea {
