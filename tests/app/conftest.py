@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from fastapi.testclient import TestClient
 from held_jobs import InlineDesk, Jobs
-from synthetic_result import make_result
 
 from semscape.app.routes import Parts
 from semscape.app.run_queue import RunQueue
@@ -18,6 +17,7 @@ from semscape.app.server import build_app
 from semscape.app.workspace import Workspace
 from semscape.options import AppOptions
 from semscape.report.run import write_run
+from synthetic_result import make_result
 
 PORT = 8765
 ORIGIN = f"http://127.0.0.1:{PORT}"

@@ -13,7 +13,6 @@ import pytest
 from fastapi.testclient import TestClient
 from held_jobs import Jobs
 from PIL import Image
-from synthetic_result import make_result
 
 from semscape.app.workspace import Workspace
 from semscape.cluster.executor import WorkerLostError
@@ -23,6 +22,7 @@ from semscape.io.value_file import encode_value
 from semscape.report.conversion import FORMATS
 from semscape.report.measurement import measure_run
 from semscape.report.surface_file import decode_surface
+from synthetic_result import make_result
 
 
 def wait_for(client: TestClient, name: str, state: str) -> dict[str, object]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from held_jobs import Jobs
 
+from semscape.app.calculations import describe_images
 from semscape.app.desk import Desk, ReconstructionJob
 from semscape.app.run_queue import RunQueue
 from semscape.app.run_state import RunState, read_state, write_state
@@ -131,8 +132,6 @@ def test_a_process_that_dies_is_told_and_replaced(workspace: Workspace) -> None:
             desk.do(os._exit, 3)
         assert desk.do(len, "abc") == 3
         with pytest.raises(BadInputError, match="no such folder"):
-            from semscape.app.calculations import describe_images
-
             desk.do(describe_images, Path("no-such-folder"))
 
 

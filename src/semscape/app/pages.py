@@ -24,6 +24,13 @@ PAGE = """<!doctype html>
 <body><noscript>semscape's page needs JavaScript; it runs on this machine alone.</noscript></body>
 </html>
 """
+_API_STYLE = """:root { color-scheme: light dark; }
+body { font: 1rem/1.5 system-ui, sans-serif; max-width: 80rem; margin: 0 auto; padding: 1rem; overflow-wrap: anywhere; }
+a { color: light-dark(#155fa8, #69aef5); }
+table { border-collapse: collapse; }
+th, td { text-align: left; vertical-align: top; padding: 0.3rem 0.6rem; border-bottom: 1px solid #8888; }
+td:first-child { font-family: ui-monospace, monospace; }
+"""
 _ICON = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><rect width="32" height="32" rx="6"
 fill="#14506e"/><path d="M3 23c5 0 6-11 11-11s5 7 8 7 4-4 7-4v8z" fill="#fff"/></svg>"""
 
@@ -61,6 +68,10 @@ def page_routes(app: FastAPI) -> APIRouter:
     @router.get("/favicon.ico")
     def icon() -> Response:
         return Response(_ICON, media_type="image/svg+xml")
+
+    @router.get("/static/api.css")
+    def style() -> Response:
+        return Response(_API_STYLE, media_type="text/css; charset=utf-8")
 
     @router.get("/api/openapi.json")
     def schema() -> Response:
@@ -103,7 +114,8 @@ def _api_page(schema: dict[str, Any]) -> str:
         models.append(f'<h3 id="{html.escape(name)}">{html.escape(name)}</h3><p>{about}</p><ul>{fields}</ul>')
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="color-scheme" content="light dark">'
-        "<title>semscape: API</title></head><body><main><h1>API of semscape app</h1><p>For this machine alone, "
+        '<title>semscape: API</title><link rel="stylesheet" href="/static/api.css"></head>'
+        "<body><main><h1>API of semscape app</h1><p>For this machine alone, "
         'with the cookie of the page. The same as <a href="/api/openapi.json">OpenAPI</a>. '
         '<a href="/">Back to the runs</a></p>'
         "<table><thead><tr><th>Request<th>Meaning<th>Takes<th>Answers</thead><tbody>"

@@ -4,6 +4,8 @@ import { api, Refusal, type Run } from "./api";
 
 const POLL_MS = 1500;
 const SILENCE_MS = 4000;
+// Of EventSource, which a browser may lack.
+const [OPEN, CLOSED] = [1, 2];
 
 export class Live {
   runs: Run[] = [];
@@ -57,11 +59,11 @@ export class Live {
   }
 
   private async check(): Promise<void> {
-    const isOpen = this.source?.readyState === EventSource.OPEN;
+    const isOpen = this.source?.readyState === OPEN;
     if (isOpen && this.trouble === "") return;
     if (performance.now() - this.heard < SILENCE_MS && this.trouble === "") return;
     await this.refresh();
-    if (this.trouble === "" && this.source?.readyState === EventSource.CLOSED) this.connect();
+    if (this.trouble === "" && this.source?.readyState === CLOSED) this.connect();
   }
 
   private take(runs: Run[], trouble: string): void {

@@ -1,5 +1,6 @@
 /** ISO 25178 parameters of the whole surface or a region, and steps between regions, as semscape.metrology has them. */
 
+import type { Surface, ViewerState } from "../viewer";
 import { api, type Figure, type Measurement } from "./api";
 import { button, el, fill } from "./dom";
 import type { Notices } from "./notice";
@@ -27,14 +28,17 @@ export class Measure {
   private readonly first = textField(20);
   private readonly second = textField(20);
   private readonly answer = el("div", { "aria-live": "polite" });
+  private readonly stride: number;
   private last: Measurement | null = null;
 
   constructor(
     private readonly name: string,
     private readonly notices: Notices,
-    unit: string,
+    surface: Surface,
+    private readonly drawn: () => ViewerState,
   ) {
-    const length = unitText(unit);
+    this.stride = surface.stride;
+    const length = unitText(surface.unit);
     const form = el(
       "form",
       { class: "fields" },
@@ -49,14 +53,31 @@ export class Measure {
     );
     const press = button("Measure", () => this.ask(), { class: "primary", type: "submit" });
     form.addEventListener("submit", (event) => event.preventDefault());
-    form.append(press);
+    form.append(el("div", { class: "row" }, press, button("Take the places marked in the viewer", () => this.takePlaces())));
     this.root = el(
       "section",
-      { "aria-labelledby": "measure-heading" },
+      { class: "card", "aria-labelledby": "measure-heading" },
       el("h2", { id: "measure-heading" }, "Surface parameters (ISO 25178) and steps"),
       form,
       this.answer,
     );
+  }
+
+  /** Fill the fields with what is marked in the viewer: its regions and lines are those of its tool. */
+  private takePlaces(): void {
+    const { tool, places } = this.drawn() as { tool?: string; places?: { x: number; y: number }[] };
+    const marked = (places ?? []).map(({ x, y }) => [x * this.stride, y * this.stride].map(Math.round).join(", "));
+    const line = (start: number): string => `${marked[start]}, ${marked[start + 1]}`;
+    if (tool === "step" && marked.length === 4) {
+      this.first.value = line(0);
+      this.second.value = line(2);
+    } else if (tool === "profile" && marked.length === 2) {
+      this.profile.value = line(0);
+    } else if ((tool === "region" || tool === "texture") && marked.length === 2) {
+      this.region.value = line(0);
+    } else {
+      this.notices.say("Nothing is marked yet: mark a profile, a step's two regions, or a region with the viewer's tools.");
+    }
   }
 
   private async ask(): Promise<void> {

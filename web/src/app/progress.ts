@@ -8,7 +8,7 @@ import { duration, figuresText, plural, stageText, stateText } from "./words";
 const MARKS = { waiting: "○", running: "◐", done: "●" };
 
 export class Progress {
-  readonly root = el("section", { class: "progress", "aria-labelledby": "progress-heading" });
+  readonly root = el("section", { class: "card progress", "aria-labelledby": "progress-heading" });
   private readonly heading = el("h2", { id: "progress-heading" });
   private readonly stages = el("ol", { class: "stages" });
   private readonly spoken = el("p", { class: "unseen", "aria-live": "polite" });

@@ -1,12 +1,12 @@
 /** What came out of a run: the surface in the viewer, its report, measures and files. */
 
-import { decodeSurface, mountViewer, type ViewerHandle, type ViewerState } from "../viewer";
+import { decodeSurface, mountViewer, type ExportLink, type Theme, type ViewerHandle, type ViewerState } from "../viewer";
 import { address, api, type AppState, type Run } from "./api";
 import { button, el, fill } from "./dom";
 import { Measure } from "./measure";
 import type { Notices } from "./notice";
 import { save } from "./save";
-import { currentTheme } from "./theme";
+import { chooseTheme, currentTheme } from "./theme";
 
 const FORMAT_GROUPS: [string, string[]][] = [
   ["Heights", ["x3p", "sur", "sdf", "gwy", "gsf", "tif", "npz", "csv", "xyz", "vts"]],
@@ -18,6 +18,14 @@ const FORMAT_NAMES: Record<string, string> = {
   anaglyph: "anaglyph (PNG)",
   "side-by-side": "side by side (PNG)",
 };
+
+/** What the viewer offers to save beside its own pictures and tables; those that always succeed. */
+function links(run: Run, formats: string[], unit: string): ExportLink[] {
+  const offered = unit === "um" ? ["x3p", "stl", "glb", "tif", "csv"] : ["glb", "tif", "csv"];
+  return formats
+    .filter((format) => offered.includes(format))
+    .map((format) => ({ label: format.toUpperCase(), href: address(run.name, "export", format), download: "" }));
+}
 
 export class Result {
   readonly root = el("div", { class: "result" });
@@ -53,7 +61,7 @@ export class Result {
     fill(
       this.root,
       place,
-      el("section", { "aria-labelledby": "files-heading" }, el("h2", { id: "files-heading" }, "Report and files"), this.files(run)),
+      el("section", { class: "card", "aria-labelledby": "files-heading" }, el("h2", { id: "files-heading" }, "Report and files"), this.files(run)),
     );
     const bytes = await this.notices.attempt(() => api.surface(run.name));
     if (this.shown !== now) return;
@@ -61,10 +69,11 @@ export class Result {
       fill(place, el("p", { class: "banner bad" }, "The surface cannot be shown. Reconstruct again, or look into the report."));
       return;
     }
+    place.addEventListener("semscape-theme", (event) => chooseTheme((event as CustomEvent<Theme>).detail));
     const surface = await this.notices.attempt(() => decodeSurface(bytes));
     if (this.shown !== now || surface === undefined) return;
     surface.name = run.title;
-    this.root.append(new Measure(run.name, this.notices, surface.unit).root);
+    this.root.append(new Measure(run.name, this.notices, surface, () => this.viewer?.state() ?? {}).root);
     fill(place);
     const key = `viewer ${now}`;
     const kept = sessionStorage.getItem(key);
@@ -72,6 +81,7 @@ export class Result {
       label: `Surface of ${run.title}`,
       theme: currentTheme(),
       ...(kept === null ? {} : { state: JSON.parse(kept) as ViewerState }),
+      exports: links(run, this.state.formats, surface.unit),
       onState: (state) => sessionStorage.setItem(key, JSON.stringify(state)),
     });
   }

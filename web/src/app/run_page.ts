@@ -15,6 +15,8 @@ const MIRROR = "sfm.invert_relief=true";
 export class RunPage {
   readonly root = el("div", { class: "page" });
   title = "Run";
+  private readonly body = el("div", {});
+  private readonly missing = el("div", {});
   private readonly head = el("div", { class: "head" });
   private readonly actions = el("div", { class: "row actions" });
   private readonly settings = el("textarea", { id: unique(), rows: 3, spellcheck: "false" });
@@ -51,8 +53,8 @@ export class RunPage {
         el("div", { class: "field" }, el("label", { for: this.settings.id }, "Options, one a line, like dense.max_pairs=4"),
           this.settings)),
     );
-    this.root.append(el("a", { href: "#/", class: "back" }, "← All runs"), this.head, this.actions, this.progress.root,
-      this.result.root, this.images);
+    this.body.append(this.head, this.actions, this.progress.root, this.result.root, this.images);
+    this.root.append(el("a", { href: "#/", class: "back" }, "← All runs"), this.missing, this.body);
     this.images.addEventListener("toggle", () => this.opened());
     this.stop = live.listen(() => this.update());
   }
@@ -70,11 +72,13 @@ export class RunPage {
     const run = this.live.find(this.name);
     if (run === undefined) {
       if (this.live.trouble) return;
-      fill(this.root, el("a", { href: "#/", class: "back" }, "← All runs"), el("h1", {}, "No such run"),
+      this.body.hidden = true;
+      fill(this.missing, el("h1", {}, "No such run"),
         el("p", {}, "It may have been removed, or its address was cut. Go back to the list."));
-      this.result.dispose();
       return;
     }
+    this.body.hidden = false;
+    fill(this.missing);
     this.title = run.title;
     const isFirst = this.shown === "";
     const now = JSON.stringify({ ...run, stages: [] });

@@ -25,7 +25,9 @@ export class RunsPage {
       "Drop the images of one specimen here, one image for each tilt.",
       async (title) => (await api.create(title)).name,
       (name) => {
-        location.hash = `#/run/${encodeURIComponent(name)}`;
+        void live.refresh().then(() => {
+          location.hash = `#/run/${encodeURIComponent(name)}`;
+        });
       },
     );
     drop.accept(this.root);

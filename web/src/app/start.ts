@@ -26,10 +26,11 @@ export async function start(body: HTMLElement): Promise<void> {
   const trouble = el("p", { class: "trouble", role: "alert", hidden: true });
   const main = el("main", { id: "main", tabindex: -1 });
   let page: Page | null = null;
-  const theme = button(`Theme: ${currentTheme()}`, () => {
-    theme.textContent = `Theme: ${nextTheme()}`;
+  const theme = button(`Theme: ${currentTheme()}`, nextTheme, { class: "plain" });
+  addEventListener("app-theme", () => {
+    theme.textContent = `Theme: ${currentTheme()}`;
     page?.setTheme?.();
-  }, { class: "plain" });
+  });
   fill(
     body,
     el("a", { href: "#main", class: "skip", click: (event) => { event.preventDefault(); main.focus(); } }, "Skip to the content"),

@@ -55,10 +55,10 @@ input.told { border: 2px solid var(--accent); font-weight: 650; }
 input[aria-invalid="true"] { border: 2px solid var(--bad); }
 input[type="checkbox"] { width: 1.1rem; height: 1.1rem; accent-color: var(--accent); }
 textarea { width: 100%; font-family: ui-monospace, monospace; }
-section, details.card, .drop {
+.card, .drop {
   background: var(--card); border: 1px solid var(--line); border-radius: 12px; padding: 1rem 1.2rem; margin: 1rem 0;
 }
-section > h2:first-child { margin-top: 0; }
+.card > h2:first-child { margin-top: 0; }
 details.card > summary h2 { display: inline; margin: 0; }
 summary { cursor: pointer; }
 .drop { border: 2px dashed var(--field); text-align: center; padding: 1.6rem 1.2rem; }

@@ -10,12 +10,17 @@ export function currentTheme(): Theme {
   return kept === "light" || kept === "dark" ? kept : "auto";
 }
 
-/** Take the next of the three and return it. */
-export function nextTheme(): Theme {
-  const theme = NEXT[currentTheme()];
+/** Take one of the three, and tell the page. */
+export function chooseTheme(theme: Theme): void {
+  if (theme === currentTheme()) return;
   localStorage.setItem(KEY, theme);
   applyTheme();
-  return theme;
+  dispatchEvent(new CustomEvent("app-theme"));
+}
+
+/** Take the next of the three. */
+export function nextTheme(): void {
+  chooseTheme(NEXT[currentTheme()]);
 }
 
 export function applyTheme(): void {
