@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,14 @@ class Jobs:
         self._result = result
         self.started: list[HeldJob] = []
         self.free = False
+
+    def job(self, number: int) -> HeldJob:
+        """Return one of them as soon as it has been started."""
+        until = time.monotonic() + 20
+        while len(self.started) <= number:
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        return self.started[number]
 
     def __call__(self, run: Run) -> HeldJob:
         job = HeldJob(run, self._result)

@@ -110,7 +110,7 @@ def test_a_run_waits_is_made_and_shows_its_result(client: TestClient, uploaded: 
     queued = client.post(f"/api/runs/{uploaded}/reconstruct", json={"settings": ["dense.max_pairs=1"]})
     assert queued.json()["state"] in ("queued", "running", "done")
     run = wait_for(client, uploaded, "done")
-    assert jobs.started[0].run.state.settings == ("dense.max_pairs=1",)
+    assert jobs.job(0).run.state.settings == ("dense.max_pairs=1",)
     assert run["has_result"]
     assert run["grade"] in ("good", "usable", "do not measure")
     assert not run["is_stale"]
@@ -134,9 +134,9 @@ def test_several_runs_queue_in_their_order(client: TestClient, master_images: Pa
     }
     assert client.post("/api/runs/second/reconstruct", json={}).status_code == 409
     assert client.post("/api/runs/second/cancel").json()["state"] == "cancelled"
-    jobs.started[0].go.set()
+    jobs.job(0).go.set()
     wait_for(client, "third", "running")
-    jobs.started[1].go.set()
+    jobs.job(1).go.set()
     wait_for(client, "third", "done")
     assert [job.run.name for job in jobs.started] == ["first", "third"]
 
@@ -148,7 +148,7 @@ def test_a_run_that_is_made_can_be_cancelled_and_asked_for_again(client: TestCli
     assert busy.status_code == 409
     assert "cancel" in busy.json()["detail"]
     assert client.post(f"/api/runs/{uploaded}/cancel").json()["state"] == "cancelled"
-    assert jobs.started[0].stopped
+    assert jobs.job(0).stopped
     jobs.free = True
     client.post(f"/api/runs/{uploaded}/reconstruct", json={})
     assert wait_for(client, uploaded, "done")["has_result"]
@@ -167,8 +167,8 @@ def test_a_failure_is_told_with_what_to_do(
 ) -> None:
     client.post(f"/api/runs/{uploaded}/reconstruct", json={})
     wait_for(client, uploaded, "running")
-    jobs.started[0].error = error
-    jobs.started[0].go.set()
+    jobs.job(0).error = error
+    jobs.job(0).go.set()
     assert words in str(wait_for(client, uploaded, "failed")["message"])
 
 
@@ -189,7 +189,7 @@ def test_one_image_is_no_series(client: TestClient, master_images: Path) -> None
 def test_a_run_made_elsewhere_is_listed_and_shown(client: TestClient, finished: str, workspace: Workspace) -> None:
     run = client.get("/api/runs").json()[0]
     assert (run["name"], run["state"], run["n_images"], run["has_images"]) == (finished, "done", 3, False)
-    assert client.get(f"/api/runs/{finished}/result").json()["verdict"] == run["verdict"]
+    assert client.get(f"/api/runs/{finished}/result").json()["verdict"].replace("+-", "±") == run["verdict"]
     picture = Image.open(io.BytesIO(client.get(f"/api/runs/{finished}/thumbnail").content))
     assert picture.size == (80, 60)
     heights = read_finished_run(workspace.folder / finished).height_map.height_um
@@ -259,6 +259,13 @@ def test_the_preview_is_there_as_soon_as_the_points_are(
     (work / "calibrate.value").write_bytes(encode_value(("key", (calibration, (), ()))))
     shown = np.frombuffer(client.get(f"/api/runs/{uploaded}/preview").content, "<f4").reshape(-1, 3)
     np.testing.assert_allclose(shown, points, rtol=1e-6)
+
+
+def test_a_title_changes_and_no_folder(client: TestClient, uploaded: str, finished: str, workspace: Workspace) -> None:
+    run = client.put(f"/api/runs/{uploaded}", json={"title": "Bruch, 5 kV"}).json()
+    assert (run["name"], run["title"]) == (uploaded, "Bruch, 5 kV")
+    assert (workspace.folder / "images" / uploaded).is_dir()
+    assert client.put(f"/api/runs/{finished}", json={"title": "x"}).status_code == 404
 
 
 def test_a_run_that_is_removed_is_only_put_aside(client: TestClient, uploaded: str, workspace: Workspace) -> None:

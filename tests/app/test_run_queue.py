@@ -40,7 +40,7 @@ def test_the_queue_outlives_the_app(workspace: Workspace, master_images: Path, j
             queue.submit(name)
         wait_until(workspace, names[0], "running")
         assert queue.waiting() == names[1:]
-    assert jobs.started[0].stopped
+    assert jobs.job(0).stopped
     assert workspace.run(names[0]).state.state == "running"  # as after a kill -9
     again = Jobs(jobs._result)
     again.free = True
@@ -59,7 +59,7 @@ def test_two_runs_at_once_where_that_is_asked_for(workspace: Workspace, master_i
         wait_until(workspace, "b", "running")
         time.sleep(0.1)
         assert workspace.run("c").state.state == "queued"
-        jobs.started[1].go.set()
+        jobs.job(1).go.set()
         wait_until(workspace, "c", "running")
 
 
@@ -75,7 +75,7 @@ def test_a_run_asked_for_again_waits_for_its_own_end(workspace: Workspace, maste
             queue.cancel(name)
         queue.submit(name)
         wait_until(workspace, name, "running")
-        jobs.started[-1].go.set()
+        jobs.job(1).go.set()
         wait_until(workspace, name, "done")
     assert len(jobs.started) == 2
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 CHROMIUM_VARIABLE = "SEMSCAPE_CHROMIUM"
 USUAL_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -24,6 +24,7 @@ def browser() -> Iterator[Browser]:
     if found is None:
         pytest.skip(f"no chromium (Debian: apt install chromium); {CHROMIUM_VARIABLE} may name one")
     with sync_playwright() as playwright:
+        expect.set_options(timeout=30_000)  # a machine may be busy
         started = playwright.chromium.launch(executable_path=found, args=ARGUMENTS)
         yield started
         started.close()

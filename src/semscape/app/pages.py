@@ -25,7 +25,10 @@ PAGE = """<!doctype html>
 </html>
 """
 _API_STYLE = """:root { color-scheme: light dark; }
-body { font: 1rem/1.5 system-ui, sans-serif; max-width: 80rem; margin: 0 auto; padding: 1rem; overflow-wrap: anywhere; }
+body {
+  font: 1rem/1.5 system-ui, sans-serif; max-width: 80rem; margin: 0 auto; padding: 1rem; overflow-wrap: anywhere;
+  background: light-dark(#ffffff, #14181d); color: light-dark(#1b2129, #e6eaef);
+}
 a { color: light-dark(#155fa8, #69aef5); }
 table { border-collapse: collapse; }
 th, td { text-align: left; vertical-align: top; padding: 0.3rem 0.6rem; border-bottom: 1px solid #8888; }

@@ -18,6 +18,8 @@ _WORDS = {
     r"fewer --workers, more --memory-mb, or ": "",
     r"fewer --workers, ": "",
     r"; run again with --debug": "; what happened is in its log",
+    r"\+-(?=\s?\d)": "±",
+    r"(?<=\d )um\b": "µm",
     r"--s-filter-um": "an S-filter of",
     r"--l-filter-um": "the L-filter",
 }

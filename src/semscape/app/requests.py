@@ -18,7 +18,7 @@ class _Body(BaseModel):
 
 
 class NewRun(_Body):
-    """A run to be made."""
+    """What a run is called."""
 
     title: str = Field(min_length=1, max_length=200)
 

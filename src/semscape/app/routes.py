@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +18,7 @@ from starlette.background import BackgroundTask
 
 from semscape.app import calculations
 from semscape.app.desk import Desk
+from semscape.app.names import displayed_name
 from semscape.app.plain_words import plain_words
 from semscape.app.requests import CellEdit, MeasureQuestion, NewRun, ReconstructRequest, convert_settings
 from semscape.app.run_queue import RunQueue
@@ -147,6 +148,14 @@ def run_routes(parts: Parts) -> APIRouter:
         """Return one run."""
         return parts.summary(workspace.run(name))
 
+    @router.put("/runs/{name}", responses=of_a_run)
+    def rename(name: str, body: NewRun) -> Summary:
+        """Give a run another title; its folders keep their name."""
+        with queue.lock:
+            run = workspace.run(name)
+            title = displayed_name(body.title) or run.name
+            return parts.summary(workspace.put_state(run, replace(run.state, title=title)))
+
     @router.delete("/runs/{name}", status_code=204, responses=changing)
     def remove(name: str) -> None:
         """Move a run to the folder `removed` of the workspace."""
@@ -252,8 +261,11 @@ def result_routes(parts: Parts) -> APIRouter:
 
     @router.get("/result")
     def result(name: str) -> dict[str, Any]:
-        """Return report.json."""
-        return workspace.report(finished(name)[0])
+        """Return report.json, its warnings in the page's words."""
+        run, _ = finished(name)
+        report = workspace.report(run)
+        told = report.get("warnings")
+        return report | {"warnings": [plain_words(str(text), run) for text in told] if isinstance(told, list) else []}
 
     @router.get("/report", responses=_binary("text/html"), response_class=Response)
     def report(name: str) -> Response:

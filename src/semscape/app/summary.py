@@ -83,7 +83,7 @@ def summarize(workspace: Workspace, run: Run, waiting: Sequence[str] = ()) -> Su
         has_result=run.has_result,
         is_stale=run.has_result and run.state.edited,
         grade=next((grade for grade in _GRADES if verdict.startswith(grade)), ""),
-        verdict=verdict,
+        verdict=plain_words(verdict),
         message=_message(run, state, made_elsewhere),
         settings=list(run.state.settings),
         sign_is_assumed=report.get("ambiguity") == "reflection",

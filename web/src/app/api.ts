@@ -126,6 +126,7 @@ export const api = {
   state: () => json<AppState>("GET", "/api/state"),
   runs: () => json<Run[]>("GET", "/api/runs"),
   create: (title: string) => json<Run>("POST", "/api/runs", { title }),
+  rename: (name: string, title: string) => json<Run>("PUT", address(name), { title }),
   remove: async (name: string) => void (await ask("DELETE", address(name))),
   upload: (name: string, file: File) =>
     json<Run>("PUT", `${address(name, "files")}?filename=${encodeURIComponent(file.name)}`, file),

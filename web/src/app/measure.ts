@@ -121,7 +121,9 @@ export class Measure {
   private show(found: Measurement): void {
     const groups = new Map<string, Figure[]>();
     for (const figure of found.figures) groups.set(figure.group, [...(groups.get(figure.group) ?? []), figure]);
-    const bodies = [...groups].map(([group, figures]) =>
+    const asked = (group: string): number => (/^(step|profile|angle|distance)/.test(group) ? 0 : 1);
+    const ordered = [...groups].sort(([a], [b]) => asked(a) - asked(b));
+    const bodies = ordered.map(([group, figures]) =>
       el(
         "tbody",
         { "data-group": group },

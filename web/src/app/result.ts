@@ -7,6 +7,7 @@ import { Measure } from "./measure";
 import type { Notices } from "./notice";
 import { save } from "./save";
 import { chooseTheme, currentTheme } from "./theme";
+import { plural } from "./words";
 
 const FORMAT_GROUPS: [string, string[]][] = [
   ["Heights", ["x3p", "sur", "sdf", "gwy", "gsf", "tif", "npz", "csv", "xyz", "vts"]],
@@ -57,12 +58,20 @@ export class Result {
   }
 
   private async show(run: Run, now: string): Promise<void> {
+    const limits = el("div", {});
     const place = el("div", { class: "viewer-place" }, el("p", { class: "quiet" }, "Loading the surface …"));
     fill(
       this.root,
+      limits,
       place,
       el("section", { class: "card", "aria-labelledby": "files-heading" }, el("h2", { id: "files-heading" }, "Report and files"), this.files(run)),
     );
+    void api.result(run.name).then(({ warnings }) => {
+      const told = Array.isArray(warnings) ? warnings.map(String) : [];
+      if (told.length === 0) return;
+      fill(limits, el("details", {}, el("summary", {}, `What limits this result: ${plural(told.length, "remark")}`),
+        el("ul", { class: "warnings" }, ...told.map((text) => el("li", {}, text)))));
+    }, () => undefined);
     const bytes = await this.notices.attempt(() => api.surface(run.name));
     if (this.shown !== now) return;
     if (bytes === undefined) {

@@ -139,7 +139,13 @@ export class RunPage {
     } else {
       fill(this.actions);
     }
+    if (run.has_images) this.actions.append(button("Rename", () => this.rename(run), { class: "plain" }));
     if (had) this.actions.querySelector<HTMLElement>("button")?.focus();
+  }
+
+  private async rename(run: Run): Promise<void> {
+    const title = prompt("Title of this run", run.title)?.trim();
+    if (title && title !== run.title) await this.do(() => api.rename(run.name, title.slice(0, 120)));
   }
 
   private async do(work: () => Promise<Run>): Promise<void> {

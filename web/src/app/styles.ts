@@ -95,10 +95,10 @@ img.small { width: 3rem; height: 3rem; object-fit: cover; border-radius: 5px; di
 img.absent { visibility: hidden; }
 .source { display: block; color: var(--quiet); font-size: 0.82rem; }
 [aria-busy="true"] table { opacity: 0.55; }
-.fields { display: flex; flex-wrap: wrap; gap: 0.9rem 1.4rem; margin: 0.9rem 0; align-items: flex-end; }
+.fields { display: flex; flex-wrap: wrap; gap: 0.9rem 1.4rem; margin: 0.9rem 0; align-items: flex-start; }
 .field { display: flex; flex-direction: column; gap: 0.2rem; max-width: 20rem; }
 .field label { font-weight: 600; font-size: 0.92rem; }
-.field.check { flex-direction: row; align-items: center; }
+.field.check { flex-direction: row; align-items: center; align-self: center; }
 details .field { max-width: 40rem; margin-top: 0.5rem; }
 .warnings { max-width: 80ch; padding-left: 1.2rem; }
 div.warnings { padding: 0; }
