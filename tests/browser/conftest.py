@@ -1,50 +1,88 @@
-"""A real browser: Debian's chromium, or the one that SEMSCAPE_CHROMIUM names."""
+"""A real browser for pages: Debian's chromium, or the one that SEMSCAPE_CHROMIUM names, driven by Playwright."""
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
+WEB = Path(__file__).resolve().parents[2] / "web"
 CHROMIUM_VARIABLE = "SEMSCAPE_CHROMIUM"
-USUAL_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-# Software GL: the same pictures with and without a graphics card.
-ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-SCREENSHOTS = Path(__file__).resolve().parents[2] / "build" / "screenshots"
+_USUAL_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+CHROMIUM_FLAGS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-dev-shm-usage",
+    "--force-color-profile=srgb",
+]
+
+
+def find_chromium() -> str | None:
+    """Return the path of a chromium: the one the environment names, else one of the usual ones."""
+    named = os.environ.get(CHROMIUM_VARIABLE)
+    return named or next((path for name in _USUAL_NAMES if (path := shutil.which(name))), None)
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """Start chromium once for all tests; skip where there is none."""
-    found = os.environ.get(CHROMIUM_VARIABLE) or next(filter(None, map(shutil.which, USUAL_NAMES)), None)
-    if found is None:
-        pytest.skip(f"no chromium (Debian: apt install chromium); {CHROMIUM_VARIABLE} may name one")
-    with sync_playwright() as playwright:
-        expect.set_options(timeout=30_000)  # a machine may be busy
-        started = playwright.chromium.launch(executable_path=found, args=ARGUMENTS)
+def browser() -> Iterator[Any]:
+    """Start the browser once; skips, with the reason, where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="the package playwright is not installed")
+    path = find_chromium()
+    if path is None:
+        pytest.skip(f"no chromium: install Debian's package of that name, or set {CHROMIUM_VARIABLE} to its program")
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=path, args=CHROMIUM_FLAGS)
         yield started
         started.close()
 
 
 @pytest.fixture
-def context(browser: Browser) -> Iterator[BrowserContext]:
-    """Give a fresh window of 1280 x 900 px."""
-    made = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
-    made.set_default_timeout(30_000)
-    yield made
-    made.close()
+def page(browser: Any) -> Iterator[Any]:
+    """Return an empty page that fails the test when its scripts do."""
+    opened = browser.new_page(viewport={"width": 1280, "height": 1000})
+    faults: list[str] = []
+    opened.on("pageerror", lambda error: faults.append(str(error)))
+    opened.on("console", lambda said: faults.append(said.text) if _is_fault(said) else None)
+    opened.set_default_timeout(60_000)
+    yield opened
+    opened.close()
+    assert not faults
 
 
-@pytest.fixture
-def shoot() -> Callable[[Page, str], None]:
-    """Keep a picture of a page among the artefacts of the tests."""
-    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+def _is_fault(said: Any) -> bool:
+    # three.js reports a missing WebGL as an error before the viewer says what to do.
+    return said.type == "error" and "creating WebGL context" not in said.text
 
-    def keep(page: Page, name: str) -> None:
-        page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
 
-    return keep
+@pytest.fixture(scope="session")
+def viewer_bundle(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the viewer as a script that names its functions, which the report's own bundle does not."""
+    esbuild = WEB / "node_modules" / "esbuild" / "bin" / "esbuild"
+    node = shutil.which("node")
+    if node is None or not esbuild.is_file():
+        pytest.skip("the viewer's sources cannot be bundled here: no node, or no web/node_modules (make web-check)")
+    output = tmp_path_factory.mktemp("bundle") / "viewer.js"
+    options = ["--bundle", "--format=iife", "--global-name=viewer", "--loader:.css=text", "--target=es2022"]
+    entry = str(WEB / "src" / "viewer" / "index.ts")
+    subprocess.run([node, str(esbuild), entry, *options, f"--outfile={output}"], check=True, capture_output=True)
+    return output.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="session")
+def axe() -> str:
+    """Return axe-core's script, the check of accessibility."""
+    path = WEB / "node_modules" / "axe-core" / "axe.min.js"
+    if not path.is_file():
+        pytest.skip("no axe-core in web/node_modules: `make web-check` installs it")
+    return path.read_text(encoding="utf-8")

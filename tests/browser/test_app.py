@@ -8,13 +8,12 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
-from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, Page, expect
+from browser_checks import serious_faults
+from playwright.sync_api import Browser, BrowserContext, Page, expect
 from SurfaceTopography import open_topography
 
 from app_server import served
@@ -23,7 +22,29 @@ from semscape.report.run import write_run
 from synthetic_result import make_result
 
 RUN_MS = 240_000
+SCREENSHOTS = Path(__file__).resolve().parents[2] / "build" / "screenshots"
 Shoot = Callable[[Page, str], None]
+expect.set_options(timeout=30_000)  # a machine may be busy
+
+
+@pytest.fixture
+def context(browser: Browser) -> Iterator[BrowserContext]:
+    """Give a fresh window of 1280 x 900 px."""
+    made = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
+    made.set_default_timeout(30_000)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def shoot() -> Shoot:
+    """Keep a picture of a page among the artefacts of the tests."""
+    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+
+    def keep(page: Page, name: str) -> None:
+        page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
+
+    return keep
 
 
 @pytest.fixture(scope="module")
@@ -83,18 +104,6 @@ def series(request: pytest.FixtureRequest, master_images: Path) -> Path:
     except pytest.skip.Exception:
         return master_images
     return shared / "tilt_series" / "potamogeton1"
-
-
-def serious_faults(page: Page) -> list[str]:
-    """Return what axe-core finds that keeps people out."""
-    page.evaluate(resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8"))
-    found: dict[str, Any] = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
-    return [
-        f"{fault['id']}: {node['html'][:160]}"
-        for fault in found["violations"]
-        if fault["impact"] in ("serious", "critical")
-        for node in fault["nodes"]
-    ]
 
 
 def test_from_dropped_files_to_a_measured_step_and_an_x3p_that_reads_back(
@@ -214,24 +223,24 @@ def test_the_page_that_cannot_listen_asks(page: Page, context: BrowserContext, w
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_no_serious_fault(page: Page, master_images: Path, scheme: str, shoot: Shoot) -> None:
+def test_axe_finds_no_serious_fault(page: Page, master_images: Path, scheme: str, shoot: Shoot, axe: str) -> None:
     page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
     expect(page.locator(".run").first).to_be_visible()
-    assert serious_faults(page) == []
+    assert serious_faults(page, axe) == []
     shoot(page, f"app-list-{scheme}")
     page.get_by_role("link", name="made by hand").first.click()
     page.wait_for_selector(".sv-root canvas")
     page.get_by_role("button", name="Measure", exact=True).click()
     expect(page.locator('[data-figure="Sa"]')).to_be_visible(timeout=60_000)
-    assert serious_faults(page) == []
+    assert serious_faults(page, axe) == []
     shoot(page, f"app-result-{scheme}")
     page.goto(page.url.partition("#")[0] + "#/")
     drop(page, images_of(master_images))
     expect(page.locator("tbody tr")).to_have_count(3)
     expect(page.locator("[aria-busy]")).to_have_count(0)
-    assert serious_faults(page) == []
+    assert serious_faults(page, axe) == []
     page.goto(page.url.partition("#")[0] + "api/docs")
-    assert serious_faults(page) == []
+    assert serious_faults(page, axe) == []
 
 
 def test_it_is_readable_at_200_percent(page: Page, shoot: Shoot) -> None:
@@ -254,6 +263,28 @@ def test_the_keyboard_alone_opens_a_run(page: Page) -> None:
     page.keyboard.press("Enter")
     expect(page).to_have_url(re.compile("#/run/"))
     expect(page.locator("main")).to_be_focused()
+
+
+def test_the_report_shows_its_viewer_in_its_sandbox(page: Page, context: BrowserContext, shoot: Shoot) -> None:
+    page.goto(page.url + "#/run/made%20by%20hand")
+    faults: list[str] = []
+    context.on("weberror", lambda error: faults.append(str(error.error)))
+    context.on("console", lambda told: faults.append(told.text) if told.type == "error" else None)
+    with context.expect_page() as opening:
+        page.get_by_role("link", name="Open the report").click()
+    report = opening.value
+    report.wait_for_selector(".sv-root canvas")
+    shoot(report, "app-report")
+    assert faults == []
+    with report.expect_download() as download:
+        report.evaluate("""() => {
+            const link = document.createElement("a");
+            link.href = URL.createObjectURL(new Blob(["a"]));
+            link.download = "a.csv";
+            link.click();
+        }""")
+    assert download.value.suggested_filename == "a.csv"
+    report.close()
 
 
 def test_a_hostile_report_reaches_nothing(page: Page, context: BrowserContext, workspace: Path) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from semscape.report.figures import best_geometry, height_picture, hillshade_picture, pair_picture, tilt_picture
+from semscape.report.figures import height_picture, hillshade_picture, tilt_picture
 from synthetic_result import make_result
 
 RESULT = make_result()
@@ -17,7 +17,6 @@ def pixels(png: bytes) -> np.ndarray:
 
 
 def test_pictures_are_the_same_bytes_on_every_run() -> None:
-    assert pair_picture(RESULT) == pair_picture(RESULT)
     assert height_picture(RESULT.height_map) == height_picture(RESULT.height_map)
 
 
@@ -44,14 +43,6 @@ def test_the_peak_is_drawn_where_the_world_says() -> None:
     rows, columns = np.nonzero(yellow[:, : int(0.84 * shown.shape[1])])
     assert rows.mean() < 0.35 * shown.shape[0]
     assert columns.mean() > 0.6 * shown.shape[1]
-
-
-def test_the_most_meaningful_pair_is_drawn() -> None:
-    geometry = best_geometry(RESULT)
-    assert geometry is not None
-    assert geometry.pair in {(0, 2), (1, 2)}
-    assert best_geometry(replace(RESULT, geometries=())) is None
-    assert pair_picture(replace(RESULT, geometries=())) is None
 
 
 def test_tilts_without_a_stage_and_long_names() -> None:

@@ -1,13 +1,19 @@
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from semscape.metrology.areal import height_parameters
+from semscape.metrology.level import level
 from semscape.report import render_html
+from semscape.report.wording import number
 from synthetic_result import make_result, with_reconstruction, with_report
 
 RESULT = make_result()
@@ -24,7 +30,11 @@ class Page(HTMLParser):
         self.feed(html)
 
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        self.loads += [value or "" for name, value in attributes if name in ("src", "href", "srcset", "data")]
+        self.loads += [
+            value or ""
+            for name, value in attributes
+            if name in ("src", "href", "srcset", "data") and tag != "a" and not (value or "").startswith("#")
+        ]
         if tag not in ("img", "meta"):
             self.open.append(tag)
 
@@ -32,7 +42,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        if "style" not in self.open:
+        if not {"style", "script"} & set(self.open):
             self.text += data
 
 
@@ -48,10 +58,11 @@ def html() -> str:
 def test_the_page_asks_the_network_for_nothing(html: str) -> None:
     page = Page(html)
     assert page.open == []
-    assert len(page.loads) == 5
-    assert all(load.startswith("data:image/png;base64,") for load in page.loads)
-    assert "http" not in re.sub(r"data:[^\"]*|http-equiv", "", html)
-    assert "<script" not in html
+    assert len(page.loads) == 4 + RESULT.series.n_views  # each view once, whatever the number of its pairs
+    assert all(load.startswith(("data:image/webp;base64,", "data:image/jpeg;base64,")) for load in page.loads)
+    without_script = re.sub(r"<script.*?</script>", "", html, flags=re.DOTALL)
+    papers = 'href="https://doi.org/'  # followed by a click alone
+    assert "http" not in re.sub(r"data:[^\"]*|http-equiv", "", without_script.replace(papers, ""))
     assert "@import" not in html
     assert "prefers-color-scheme: dark" in html
 
@@ -99,7 +110,7 @@ def test_names_are_text_and_never_markup() -> None:
     views = (replace(RESULT.series.views[0], name=name), *RESULT.series.views[1:])
     result = with_report(replace(RESULT, series=replace(RESULT.series, views=views)), warnings=(f"{name}: odd",))
     html = render_html(result)
-    assert "<script" not in html
+    assert "alert(" not in re.sub(r"&lt;script&gt;alert\(", "", html)
     assert name in Page(html).text
 
 
@@ -140,5 +151,72 @@ def test_a_result_with_little_known_still_has_a_page() -> None:
     )
     page = page_of(bare)
     assert "height scale: uncertainty unknown" in page.text.lower()
-    assert len(page.loads) == 4
-    assert "nan" not in page.text.lower().split()
+    assert len(page.loads) == 4  # no pair, no view
+    without_options_file = page.text.lower().partition("options.toml")[0]  # where nan is a value
+    assert "nan" not in without_options_file.split()
+
+
+def test_the_browser_runs_the_viewer_and_no_other_script(html: str) -> None:
+    scripts = re.findall(r"<script>(.*?)</script>", html, flags=re.DOTALL)
+    assert len(scripts) == 1
+    digest = base64.b64encode(hashlib.sha256(scripts[0].encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in html
+    assert "default-src 'none'" in html
+
+
+def test_the_page_of_a_source_tree_without_the_viewer_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("semscape.report.html.viewer_script", lambda: None)
+    html = render_html(RESULT)
+    assert "<script" not in html
+    assert "script-src" not in html
+    assert "make web" in Page(html).text
+
+
+def test_every_pair_has_its_drawing(html: str) -> None:
+    text = Page(html).text
+    for found, geometry in zip(RESULT.matches, RESULT.geometries, strict=True):
+        first, second = (RESULT.series.names[view] for view in geometry.pair)
+        assert f"{first} – {second}: {geometry.inliers.sum():,} inliers of {len(found):,} matches" in text
+
+
+def test_residuals_stand_per_view() -> None:
+    found = RESULT.reconstruction
+    view = found.observations.view == 1
+    rms = np.sqrt((found.residual_px[view & (found.weights > 0)] ** 2).sum(axis=1).mean())
+    assert f"{rms:.3g}" in page_of(RESULT).text
+
+
+def test_what_no_file_told_is_said() -> None:
+    inputs = tuple({**item, "source": {"pixel_size_um": "assumed"}} for item in RESULT.report.inputs)
+    assert "Pixel size: assumed, for every view." in page_of(with_report(RESULT, inputs=inputs)).text
+
+
+def test_texture_is_that_of_metrology(html: str) -> None:
+    levelled = level(RESULT.height_map.height_um, RESULT.height_map.pixel_size_um).height
+    assert number(height_parameters(levelled)["Sku"]) in Page(html).text
+
+
+def test_a_map_of_a_megapixel_makes_a_page_below_4_mb() -> None:
+    rng = np.random.default_rng(0)
+    size = 1024
+    y, x = np.mgrid[:size, :size] / 40
+    smooth = ndimage.gaussian_filter(rng.normal(size=(size, size)), 2) * 0.5
+    heights = np.sin(x) * np.cos(y) * 3 + smooth
+    large = replace(
+        RESULT.height_map,
+        height_um=heights,
+        uncertainty_um=0.1 * np.exp(ndimage.gaussian_filter(rng.normal(size=(size, size)), 3) * 4),
+        n_views=rng.integers(2, 6, (size, size)).astype(np.uint8),
+        texture=rng.normal(128, 30, (size, size)).astype(np.float32),
+        pixel_size_um=0.1,
+        world_from_grid=np.diag([0.1, -0.1, 1.0, 1.0]),
+    )
+    assert len(render_html(replace(RESULT, height_map=large)).encode()) < 4e6
+
+
+def test_a_notebook_gets_the_viewer_and_a_picture() -> None:
+    frame = RESULT._repr_html_()
+    assert frame.startswith("<iframe srcdoc=")
+    assert "allow-same-origin" not in frame
+    assert "semscape-surface" in frame
+    assert RESULT._repr_png_().startswith(b"\x89PNG")

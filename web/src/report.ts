@@ -9,7 +9,12 @@ async function start(): Promise<void> {
   const text = atob((carried.textContent ?? "").trim());
   const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
   carried.remove();
-  mountViewer(place, await decodeSurface(bytes.buffer), {});
+  place.addEventListener("semscape-theme", (event) => {
+    document.documentElement.dataset.theme = (event as CustomEvent<string>).detail;
+  });
+  mountViewer(place, await decodeSurface(bytes.buffer), { label: "Surface of the run" });
+  // The still pictures are then for paper only.
+  document.documentElement.classList.add("has-viewer");
 }
 
 void start();

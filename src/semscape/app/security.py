@@ -23,7 +23,7 @@ PAGE_POLICY = (
 )
 # A report is a file that may come from anywhere: it runs in an origin of its own and reaches nothing.
 REPORT_POLICY = (
-    "sandbox allow-scripts allow-downloads allow-modals; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' "
+    "sandbox allow-scripts allow-downloads allow-modals; default-src 'none'; script-src 'unsafe-inline' "
     "blob: data:; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; worker-src blob:; connect-src data: "
     "blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )

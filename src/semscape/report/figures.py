@@ -15,7 +15,7 @@ import numpy as np
 
 from semscape.report.hillshade import hillshade
 from semscape.report.wording import UNIT_SIGNS, Z_95
-from semscape.types import FloatArray, HeightMap, Reconstruction, Result, TwoViewGeometry
+from semscape.types import FloatArray, HeightMap, Reconstruction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -118,62 +118,6 @@ def error_picture(height_map: HeightMap, error_um: FloatArray) -> bytes:
     return _map_picture(height_map, error_um, "RdBu_r", label, limits=limits, no_data=GREY_NO_DATA)
 
 
-def pair_picture(result: Result) -> bytes | None:
-    """Return the most meaningful pair side by side with its inliers, or None where no pair was kept.
-
-    The colour of an inlier is its parallax: its displacement along the pair's main direction of motion.
-    """
-    geometry = best_geometry(result)
-    if geometry is None:
-        return None
-    matches = next(item for item in result.matches if item.pair == geometry.pair)
-    first, second = geometry.pair
-    inliers = matches.indices[geometry.inliers]
-    xy1 = result.keypoints[first].xy[inliers[:, 0]]
-    xy2 = result.keypoints[second].xy[inliers[:, 1]]
-    parallax = _parallax(xy2 - xy1)
-    images = [_display_grey(result, index) for index in geometry.pair]
-    height, width = result.series.shape
-
-    # A fixed permutation spreads the drawn points over the image and is the same on every run.
-    order = np.random.default_rng(0).permutation(len(xy1))
-    dots, lines = order[:500], order[:25]
-    gap = 0.03 * width
-    offset = np.array([width + gap, 0.0])
-
-    def draw(figure: Figure) -> None:
-        from matplotlib.collections import LineCollection
-
-        axes = figure.add_subplot()
-        for image, left in zip(images, (0.0, width + gap), strict=True):
-            extent = (left - 0.5, left + width - 0.5, height - 0.5, -0.5)
-            axes.imshow(image, cmap="gray", vmin=0, vmax=1.5, extent=extent, interpolation="antialiased")
-        low, high = _limits(parallax, 1.0)
-        colours: dict[str, Any] = {"cmap": "cool", "clim": (low, high)}
-        segments = np.stack([xy1[lines], xy2[lines] + offset], axis=1)
-        collection = LineCollection(list(segments), array=parallax[lines], linewidths=0.6, alpha=0.75, **colours)
-        axes.add_collection(collection)
-        for points in (xy1[dots], xy2[dots] + offset):
-            scatter = axes.scatter(
-                points[:, 0],
-                points[:, 1],
-                c=parallax[dots],
-                s=11,
-                linewidths=0.25,
-                edgecolors="black",
-                cmap="cool",
-                vmin=low,
-                vmax=high,
-            )
-        axes.set(xlim=(-0.5, 2 * width + gap - 0.5), ylim=(height - 0.5, -0.5))
-        axes.set_axis_off()
-        bar = figure.colorbar(scatter, ax=axes, fraction=0.025, pad=0.01)
-        bar.set_label("Parallax (px)")
-        bar.outline.set_visible(False)
-
-    return drawn_png((10.0, min(7.0, 4.5 * height / width + 0.1)), draw)
-
-
 def tilt_picture(reconstruction: Reconstruction, names: tuple[str, ...], prior_sigma_deg: float) -> bytes:
     """Return the recovered tilts, and what they differ from the stage's, with 95 % bars.
 
@@ -214,13 +158,6 @@ def tilt_picture(reconstruction: Reconstruction, names: tuple[str, ...], prior_s
             left.legend(loc="upper right", fontsize=8)
 
     return drawn_png((10.0, 1.1 + 0.32 * len(names)), draw)
-
-
-def best_geometry(result: Result) -> TwoViewGeometry | None:
-    """Return the pair whose epipolar geometry is the least likely to be chance."""
-    matched = {item.pair for item in result.matches}
-    kept = [geometry for geometry in result.geometries if geometry.pair in matched and geometry.inliers.any()]
-    return min(kept, key=lambda geometry: geometry.log10_nfa, default=None)
 
 
 def _map_picture(
@@ -295,22 +232,6 @@ def _shrink(values: FloatArray) -> FloatArray:
     total = np.nansum(blocks, axis=(1, 3))
     mean: FloatArray = np.where(2 * known >= step * step, total / np.maximum(known, 1), np.nan)
     return mean
-
-
-def _display_grey(result: Result, index: int) -> FloatArray:
-    """Return a view's image stretched to [0, 1] between its 1st and 99th percentile; values are not altered."""
-    view = result.series.views[index]
-    low, high = _limits(view.image[view.mask].astype(np.float64), 1.0)
-    stretched: FloatArray = np.clip((_shrink(view.image.astype(np.float64)) - low) / (high - low), 0.0, 1.0)
-    return np.nan_to_num(stretched)
-
-
-def _parallax(displacement: FloatArray) -> FloatArray:
-    """Return the displacement (M, 2) along its direction of largest spread, without its median."""
-    centred = displacement - np.median(displacement, axis=0)
-    _, vectors = np.linalg.eigh(centred.T @ centred)
-    parallax: FloatArray = centred @ vectors[:, -1]
-    return parallax
 
 
 def _short(name: str, length: int = 24) -> str:

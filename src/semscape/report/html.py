@@ -1,4 +1,4 @@
-"""The report of a run as one self-contained HTML page: no script, no request to anywhere."""
+"""The report of a run as one self-contained HTML page with the viewer inside: no request to anywhere."""
 
 from __future__ import annotations
 
@@ -9,18 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from semscape.report.figures import (
-    best_geometry,
-    height_picture,
-    hillshade_picture,
-    pair_picture,
-    tilt_picture,
-    uncertainty_picture,
-)
+from semscape.io.run_folder import options_toml
+from semscape.report.figures import height_picture, hillshade_picture, tilt_picture, uncertainty_picture
 from semscape.report.json import report_to_dict
 from semscape.report.markup import figure, fixed, page, percent, plus_minus, table, with_sigma
+from semscape.report.methods import assumptions, methods_section
+from semscape.report.pair_pictures import pair_drawings
+from semscape.report.texture_section import texture_section
+from semscape.report.viewer_page import viewer_parts, viewer_script
 from semscape.report.wording import UNIT_SIGNS, Z_95, held_text, is_held, label, number, two_digits, value_text
-from semscape.types import LengthUnit, Result
+from semscape.types import FloatArray, LengthUnit, Result
 
 _VERDICTS = {"good": "good", "usable": "warn", "do not": "bad"}
 _NO_TILE = {
@@ -54,13 +52,15 @@ def render_html(result: Result) -> str:
         _notices(report),
         _tiles(report, result),
         _surface(result),
+        texture_section(result),
         _views(report, result, unit),
         _pairs(report, result),
+        _inputs(report, unit),
         _run(report, unit),
-        _inputs(report["inputs"], unit),
+        methods_section(report["options"]),
         _options(report),
     ]
-    return page(f"{_title(result)} · semscape", sections)
+    return page(f"{_title(result)} · semscape", sections, viewer_script())
 
 
 def _title(result: Result) -> str:
@@ -138,15 +138,18 @@ def _surface(result: Result) -> str:
             f"1 σ of each height.{empty}",
         ),
     )
-    return (
-        f'<section><h2>Surface</h2><div class="wide">{pictures[0]}</div>'
-        f'<div class="two">{pictures[1]}{pictures[2]}</div></section>'
-    )
+    still = f'<div class="wide">{pictures[0]}</div><div class="two">{pictures[1]}{pictures[2]}</div>'
+    if viewer_script() is None:
+        note = "The 3D viewer is not built in this installation of semscape: <code>make web</code> does it."
+        return f'<section><h2>Surface</h2><p class="quiet">{note}</p>{still}</section>'
+    # With scripts the viewer shows all three; the pictures are for paper, and where no script may run.
+    return f'<section class="surface"><h2>Surface</h2>{viewer_parts(result)}<div class="still">{still}</div></section>'
 
 
 def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
     sign, reference = UNIT_SIGNS[unit], report["reference_view"]
-    head = ["View", "Tilt (°)", "Stage (°)", "Roll (°)", f"Scale (px/{sign})", "Anisotropy (%)"]
+    head = ["View", "Tilt (°)", "Stage (°)", "Roll (°)", f"Scale (px/{sign})", "Anisotropy (%)", "Residual rms (px)"]
+    residual_rms_px = _residual_rms_px(result)
     rows = [
         [
             view["name"] + (" (reference)" if view["name"] == reference else ""),
@@ -157,8 +160,9 @@ def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
             with_sigma(view["roll_deg"], view["roll_sigma_deg"]),
             with_sigma(view[f"scale_px_per_{unit}"], view[f"scale_sigma_px_per_{unit}"]),
             with_sigma(percent(view["anisotropy"]), percent(view["anisotropy_sigma"])),
+            number(float(rms), 3),
         ]
-        for view in report["views"]
+        for view, rms in zip(report["views"], residual_rms_px, strict=True)
     ]
     prior = report["options"].get("sfm", {}).get("prior_tilt_deg") or 0.0
     picture = figure(
@@ -176,6 +180,16 @@ def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
         f"Tilts: {escape(report['tilt_source'])}. {escape(report['height_scale'].capitalize())}.</p>"
         f'<div class="wide">{picture}</div></section>'
     )
+
+
+def _residual_rms_px(result: Result) -> FloatArray:
+    """Return the root mean square length of the residuals in each view (V,), of the observations that count."""
+    found = result.reconstruction
+    counts = found.weights > 0
+    view = found.observations.view[counts]
+    squares = np.bincount(view, (found.residual_px[counts] ** 2).sum(axis=1), result.series.n_views)
+    number_seen = np.bincount(view, minlength=result.series.n_views)
+    return np.sqrt(np.where(number_seen > 0, squares / np.maximum(number_seen, 1), np.nan))
 
 
 def _priors(report: Mapping[str, Any]) -> str:
@@ -232,14 +246,7 @@ def _pairs(report: Mapping[str, Any], result: Result) -> str:
         '<p class="quiet">The a contrario method chose each threshold: the distance to the epipolar line at which the '
         "inliers are least likely to be chance (log₁₀ of the number of false alarms; below 0 is meaningful).</p>"
     )
-    picture, geometry = pair_picture(result), best_geometry(result)
-    drawing = ""
-    if picture is not None and geometry is not None:
-        names = [result.series.names[i] for i in geometry.pair]
-        drawn = min(500, int(geometry.inliers.sum()))
-        caption = f"{names[0]} and {names[1]}: {drawn} of {number(int(geometry.inliers.sum()))} inliers, by parallax."
-        drawing = f'<div class="wide">{figure(picture, "Matched pair", caption)}</div>'
-    return f"<section><h2>Matches</h2>{body}{note}{drawing}</section>"
+    return f"<section><h2>Matches</h2>{body}{note}{pair_drawings(result)}</section>"
 
 
 def _run(report: Mapping[str, Any], unit: LengthUnit) -> str:
@@ -268,11 +275,16 @@ def _run(report: Mapping[str, Any], unit: LengthUnit) -> str:
     )
 
 
-def _inputs(inputs: Sequence[Mapping[str, Any]], unit: LengthUnit) -> str:
+def _inputs(report: Mapping[str, Any], unit: LengthUnit) -> str:
+    inputs = report["inputs"]
+    if not inputs:
+        return ""
     keys = list(dict.fromkeys(key for item in inputs for key in item if key not in ("digest", "source")))
     head = [label(key) for key in keys] + ["SHA-256"]
     rows = [[_with_source(key, item, unit) for key in keys] + [str(item.get("digest") or "–")[:16]] for item in inputs]
-    return f"<section><h2>Inputs</h2>{table(head, rows)}</section>" if inputs else ""
+    sentences = [*assumptions(report), report["ambiguity_text"]]
+    items = "".join(f"<li>{escape(text)}</li>" for text in sentences)
+    return f"<section><h2>Inputs, and what was assumed</h2>{table(head, rows)}<ul>{items}</ul></section>"
 
 
 def _with_source(key: str, item: Mapping[str, Any], unit: LengthUnit) -> str:
@@ -295,9 +307,14 @@ def _options(report: Mapping[str, Any]) -> str:
     )
     return (
         f'<section><h2>Options and versions</h2><div class="options">{groups}</div>'
-        '<p class="quiet"><code>semscape reconstruct FOLDER --options options.toml</code>, with the file from this '
-        "run's folder, repeats the run.</p></section>"
+        '<p class="quiet"><code>semscape reconstruct FOLDER --options options.toml</code> repeats the run, with the '
+        "file from its folder or this text:</p>"
+        f"<details><summary>options.toml</summary><pre>{escape(_toml(report))}</pre></details></section>"
     )
+
+
+def _toml(report: Mapping[str, Any]) -> str:
+    return options_toml(report["options"])
 
 
 def _option_text(value: Any) -> str:

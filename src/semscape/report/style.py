@@ -3,15 +3,20 @@
 STYLE = """\
 :root {
   --ground: #f5f6f8; --card: #ffffff; --ink: #1b2129; --quiet: #5d6773; --line: #dfe3e8;
-  --accent: #1f6fc4; --good: #1d7f4e; --warn: #9a5b00; --bad: #b3261e;
+  --accent: #1f6fc4; --good: #176f43; --warn: #8a5200; --bad: #b3261e;
   --good-ground: #e4f4ec; --warn-ground: #fdf1dc; --bad-ground: #fbe6e4;
 }
 @media (prefers-color-scheme: dark) {
-  :root {
+  :root:not([data-theme="light"]) {
     --ground: #0f1318; --card: #171c23; --ink: #e6eaef; --quiet: #98a3b0; --line: #2a323c;
     --accent: #69aef5; --good: #6fd3a0; --warn: #f0bd6a; --bad: #ff9a91;
     --good-ground: #14291f; --warn-ground: #2d2413; --bad-ground: #331a18;
   }
+}
+:root[data-theme="dark"] {
+  --ground: #0f1318; --card: #171c23; --ink: #e6eaef; --quiet: #98a3b0; --line: #2a323c;
+  --accent: #69aef5; --good: #6fd3a0; --warn: #f0bd6a; --bad: #ff9a91;
+  --good-ground: #14291f; --warn-ground: #2d2413; --bad-ground: #331a18;
 }
 * { box-sizing: border-box; }
 body {
@@ -73,8 +78,27 @@ figcaption b { color: var(--ink); font-weight: 600; }
 .options dt { color: var(--quiet); }
 .options dd { margin: 0; text-align: right; overflow-wrap: anywhere; }
 code { font: 13px ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
+.surface { padding: 0; overflow: visible; }
+.surface > h2 { padding: 16px 20px 0; }
+.surface > .still { padding: 0 20px 18px; }
+@media (min-width: 1240px) {
+  .surface { --beyond: calc((1080px - min(100vw - 48px, 1560px)) / 2); margin: 16px var(--beyond); }
+}
+.has-viewer .still { display: none; }
+.held { position: absolute; width: 0; height: 0; }
+.pairs { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(440px, 100%), 1fr)); gap: 16px 20px; }
+.held + .pairs { margin-top: 14px; }
+.pairs svg { display: block; width: 100%; height: auto; border-radius: 6px; background: #0006; }
+.pairs path { fill: none; stroke-linecap: round; }
+.pairs .lines { opacity: 0.7; }
+.pairs figcaption { overflow-wrap: anywhere; margin-bottom: 4px; }
+section > ul { padding-left: 20px; margin: 12px 0 0; max-width: 80ch; }
+a { color: var(--accent); }
+pre { font: 12.5px/1.45 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; overflow: auto; max-height: 60vh; }
+summary { cursor: pointer; }
+@page { margin: 14mm; }
 @media print {
-  :root {
+  :root, :root[data-theme] {
     --ground: #fff; --card: #fff; --ink: #000; --quiet: #444; --line: #bbb; --accent: #1f6fc4;
     --good: #14603a; --warn: #7a4800; --bad: #8f1d17; --good-ground: #fff; --warn-ground: #fff; --bad-ground: #fff;
   }
@@ -84,5 +108,15 @@ code { font: 13px ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
   figure, tr, .tiles div { break-inside: avoid; }
   .verdict { border: 1px solid currentColor; }
   table { font-size: 10.5px; }
+  .has-viewer .still { display: block; padding: 0; }
+  .surface { margin: 14px 0; }
+  .surface > h2 { padding: 0; }
+  #semscape-viewer { display: none; }
+  .scroll { overflow: visible; }
+  h2 { break-after: avoid; }
+  .surface .wide img { max-width: 125mm; }
+  .pairs { grid-template-columns: 1fr 1fr; gap: 8px 12px; }
+  pre { max-height: none; white-space: pre-wrap; }
+  a { color: inherit; }
 }
 """

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.geometry.rotations import tilted_cam_from_world
-from semscape.types import FloatArray, HeightMap, Motion, Result
+from semscape.types import FloatArray, HeightMap, ImageArray, Motion, Result
 
 SURFACE_MAGIC = b"SEMSURF1"
 
@@ -103,10 +103,8 @@ def encode_surface(
     True
     """
     stride = _stride(height_map.height_um.shape, most_heights)
-    height, sigma, n_views, texture = (
-        plane[::stride, ::stride]
-        for plane in (height_map.height_um, height_map.uncertainty_um, height_map.n_views, height_map.texture)
-    )
+    height, sigma = height_map.height_um[::stride, ::stride], height_map.uncertainty_um[::stride, ::stride]
+    n_views, texture = height_map.n_views[::stride, ::stride], height_map.texture[::stride, ::stride]
     known = np.isfinite(height)
     origin, step = _height_scale(height[known], sigma[known])
     codes, sigma_origin, sigma_ratio = _sigma_codes(known, sigma)
@@ -256,7 +254,7 @@ def _undelta(difference: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return restored
 
 
-def _jpeg(texture: FloatArray) -> bytes:
+def _jpeg(texture: ImageArray) -> bytes:
     from PIL import Image
 
     known = texture[np.isfinite(texture)]

@@ -57,7 +57,7 @@ export function label(pen: CanvasRenderingContext2D, ink: Ink, text: string, x: 
 }
 
 /** Width that a view leaves for the colour bar. */
-export const COLOUR_BAR_PX = 74;
+export const COLOUR_BAR_PX = 88;
 
 /** Draw a vertical colour bar against the right edge; its height follows the view's. */
 export function drawColourBar(pen: CanvasRenderingContext2D, ink: Ink, colouring: Colouring, width: number, height: number): void {

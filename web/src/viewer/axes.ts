@@ -2,7 +2,7 @@
 
 import { label, type Ink, type Pen2D } from "./annotate";
 import { worldAt } from "./grid";
-import { decimalsOf, fixed, ticks, unitSign } from "./numbers";
+import { decimalsOf, fixed, ticks, tickStep, unitSign } from "./numbers";
 import type { Surface } from "./types";
 import type { Project } from "./view3d";
 
@@ -36,13 +36,14 @@ export function drawAxes(
     if (!from || !to) return;
     stroke(from, to);
     const size = Math.hypot(to[0] - from[0], to[1] - from[1]);
-    if (size < 40) return;
+    if (size < 24) return;
     let out: Screen = [to[1] - from[1], from[0] - to[0]];
     const half: Screen = [(from[0] + to[0]) / 2, (from[1] + to[1]) / 2];
     if (out[0] * (half[0] - middle[0]) + out[1] * (half[1] - middle[1]) < 0) out = [-out[0], -out[1]];
     out = [out[0] / size, out[1] / size];
-    const marks = ticks(least, most, Math.max(1, Math.min(length, size / 55)));
-    const decimals = marks.length > 1 ? decimalsOf(marks[1] - marks[0]) : 2;
+    const wanted = Math.max(1, Math.min(length, size / (name === "z" ? 24 : 55)));
+    const marks = ticks(least, most, wanted);
+    const decimals = decimalsOf(tickStep(least, most, wanted));
     pen.textAlign = out[0] > 0.35 ? "left" : out[0] < -0.35 ? "right" : "center";
     pen.textBaseline = out[1] > 0.35 ? "top" : out[1] < -0.35 ? "bottom" : "middle";
     for (const mark of marks) {

@@ -17,14 +17,33 @@ export interface Eye {
 }
 
 const FIELD_DEG = 30;
+const FILLED = 0.88;
 
 export const HOME: Readonly<Eye> = {
   projection: "perspective",
   azimuthDeg: -62,
   elevationDeg: 38,
-  reach: 0.6,
+  reach: 0.63,
   target: [0, 0, 0],
 };
+
+/** Straight down, the map's first row on top. */
+export const TOP: Readonly<Eye> = { ...HOME, azimuthDeg: -90, elevationDeg: 90 };
+
+/** Return the eye brought to where it just sees all of some points of the scene. */
+export function fitted(eye: Eye, points: Vector3[], aspect: number): Eye {
+  let found: Eye = { ...eye, target: [0, 0, 0], reach: 1 };
+  // Perspective makes what is near larger, and so each step changes what the next one sees.
+  for (let round = 0; round < 6; round++) {
+    const camera = cameraOf(found, aspect);
+    const seen = points.map((point) => point.clone().project(camera));
+    const [xs, ys] = [seen.map((point) => point.x), seen.map((point) => point.y)];
+    const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    found = moved(found, ((left + right) / 2) * aspect, (low + high) / 2);
+    found = { ...found, reach: (found.reach * Math.max((right - left) / 2, (high - low) / 2)) / FILLED };
+  }
+  return found;
+}
 
 /** Return the direction from the target to the eye. */
 export function directionOf(eye: Eye): Vector3 {

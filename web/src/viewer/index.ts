@@ -1,3 +1,4 @@
 export { decodeSurface } from "./decode";
+export { triangleMask } from "./grid";
 export { mountViewer } from "./mount";
 export type { ExportLink, Surface, SurfaceCamera, Theme, ViewerHandle, ViewerOptions, ViewerState } from "./types";

@@ -14,7 +14,8 @@ export interface EyeMoves {
   turned(eye: Eye, azimuthDeg: number, elevationDeg: number): Eye;
   moved(eye: Eye, right: number, up: number): Eye;
   zoomed(eye: Eye, factor: number, x?: number, y?: number, aspect?: number): Eye;
-  home: Readonly<Eye>;
+  /** The eye of the start, as near as the surface allows. */
+  home(eye: Eye): Eye;
 }
 
 /** A wheel scrolls the page, unless the view has been clicked or Ctrl is held. */
@@ -105,7 +106,7 @@ export function watchView(view: View3D, viewer: Viewer, eyes: EyeMoves): void {
     if (right || up) setEye(event.shiftKey ? eyes.moved(eye, 0.08 * right, 0.08 * up) : eyes.turned(eye, 5 * right, 5 * up));
     else if (event.key === "+" || event.key === "=") setEye(eyes.zoomed(eye, 1 / 1.15));
     else if (event.key === "-") setEye(eyes.zoomed(eye, 1.15));
-    else if (event.key === "0" || event.key === "Home") setEye({ ...eyes.home, projection: eye.projection });
+    else if (event.key === "0" || event.key === "Home") setEye(eyes.home(eye));
     else return;
     event.preventDefault();
   });

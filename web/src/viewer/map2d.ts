@@ -176,7 +176,7 @@ export class Map2D {
     const azimuth = (settings.lightAzimuthDeg * Math.PI) / 180;
     const altitude = (settings.lightAltitudeDeg * Math.PI) / 180;
     const light = [Math.sin(azimuth) * Math.cos(altitude), Math.cos(azimuth) * Math.cos(altitude), Math.sin(altitude)];
-    const shading = settings.shaded && colouring.by !== "micrograph" ? 0.85 : 0;
+    const shading = settings.shaded && colouring.by !== "micrograph" ? (colouring.by === "height" ? 0.85 : 0.5) : 0;
     const slope = [0, 0];
     const columns = Int32Array.from({ length: width }, (_, i) => {
       const [x] = this.toGrid((x0 + i + 0.5) / ratio, 0);

@@ -2,7 +2,7 @@
 
 import { drawCursor, drawMarks, finding, sigmaAt, TOOLS, toolOf, type Choices, type Tool } from "./tools";
 import { inkOf, type Ink } from "./annotate";
-import { HOME, moved, turned, zoomed } from "./camera";
+import { HOME, moved, TOP, turned, zoomed } from "./camera";
 import type { Colouring } from "./colours";
 import { el, freshId, save } from "./dom";
 import { worldAt } from "./grid";
@@ -71,7 +71,7 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
     hint,
   );
   const root = el(
-    "section", { class: "sv-root", "aria-label": options.label ?? "Surface", "data-theme": theme },
+    "div", { class: "sv-root", role: "region", "aria-label": options.label ?? "Surface", "data-theme": theme },
     el("div", { class: "sv-views" }, view3dPane, mapPane),
     readout, spoken, tools, results,
   );
@@ -229,9 +229,7 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
         settings: () => settings,
         change: (changes) => viewer.change(changes),
         look: (where) =>
-          viewer.change({
-            eye: where === "top" ? { ...settings.eye, azimuthDeg: -90, elevationDeg: 90, target: [0, 0, 0], reach: 0.56 } : { ...HOME, projection: settings.eye.projection },
-          }),
+          viewer.change({ eye: view!.fitted({ ...(where === "top" ? TOP : HOME), projection: settings.eye.projection }) }),
         savePicture: () => void picture().then((blob) => save(blob, "surface.png")),
         theme: () => theme,
         setTheme,
@@ -271,7 +269,9 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
         root.dataset.triangles = String(triangles);
         root.dataset.pictures = String(Number(root.dataset.pictures ?? 0) + 1);
       };
-      watchView(shown, viewer, { turned, moved, zoomed, home: HOME });
+      watchView(shown, viewer, { turned, moved, zoomed, home: (eye) => shown.fitted({ ...HOME, projection: eye.projection }) });
+      const kept = options.state?.settings as { eye?: unknown } | undefined;
+      if (!kept?.eye) viewer.change({ eye: shown.fitted(HOME) });
     }
     tellCursor(false);
     measureAnew();

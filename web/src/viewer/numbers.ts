@@ -41,10 +41,15 @@ export function roundLength(most: number): number {
 /** Return round numbers within a range, about `count` of them. */
 export function ticks(low: number, high: number, count: number): number[] {
   if (!(high > low)) return [low];
-  const step = niceStep((high - low) / count);
+  const step = tickStep(low, high, count);
   const first = Math.ceil(low / step - 1e-9);
   const last = Math.floor(high / step + 1e-9);
   return Array.from({ length: Math.max(0, last - first + 1) }, (_, i) => (first + i) * step);
+}
+
+/** Return the distance of those numbers. */
+export function tickStep(low: number, high: number, count: number): number {
+  return high > low ? niceStep((high - low) / count) : 1;
 }
 
 function niceStep(least: number): number {

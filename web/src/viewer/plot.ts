@@ -1,7 +1,7 @@
 /** A profile as a curve with its uncertainty. */
 
 import { svg } from "./dom";
-import { decimalsOf, fixed, ticks } from "./numbers";
+import { decimalsOf, fixed, ticks, tickStep } from "./numbers";
 import type { Profile } from "./measure";
 
 const WIDTH = 640;
@@ -34,8 +34,8 @@ export function profilePlot(
   for (const mark of ticks(low, high, 4)) {
     picture.append(svg("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: y(mark), y2: y(mark), class: "sv-plot-grid" }));
   }
-  axis(picture, ticks(low, high, 4), (mark) => ({ x: LEFT - 7, y: y(mark) + 4, "text-anchor": "end" }));
-  axis(picture, ticks(0, length, 8), (mark) => ({ x: x(mark), y: HEIGHT - BOTTOM + 17, "text-anchor": "middle" }));
+  axis(picture, [low, high, 4], (mark) => ({ x: LEFT - 7, y: y(mark) + 4, "text-anchor": "end" }));
+  axis(picture, [0, length, 8], (mark) => ({ x: x(mark), y: HEIGHT - BOTTOM + 17, "text-anchor": "middle" }));
   const runs = knownRuns(height);
   const band = runs.map(([first, last]) => {
     const there: string[] = [];
@@ -76,9 +76,9 @@ export function profilePlot(
   return picture;
 }
 
-function axis(picture: SVGElement, marks: number[], place: (mark: number) => Record<string, string | number>): void {
-  const decimals = marks.length > 1 ? decimalsOf(marks[1] - marks[0]) : 2;
-  for (const mark of marks) picture.append(words(fixed(mark, decimals), place(mark)));
+function axis(picture: SVGElement, [low, high, count]: [number, number, number], place: (mark: number) => Record<string, string | number>): void {
+  const decimals = decimalsOf(tickStep(low, high, count));
+  for (const mark of ticks(low, high, count)) picture.append(words(fixed(mark, decimals), place(mark)));
 }
 
 function words(text: string, place: Record<string, string | number>): SVGElement {

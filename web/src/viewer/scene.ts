@@ -125,8 +125,8 @@ function patchGeometry(filled: boolean, mostTiles: number): InstancedBufferGeome
     for (let row = 0, k = 0; row < PATCH; row++) {
       for (let col = 0; col < PATCH; col++, k += 6) {
         const a = row * side + col;
-        // Cut from upper right to lower left, as the run's mesh is.
-        index.set([a, a + side, a + 1, a + 1, a + side, a + side + 1], k);
+        // Cut from upper right to lower left, as the run's mesh is; the last corner of each tells the shader its cell.
+        index.set([a + side, a + 1, a, a + 1, a + side, a + side + 1], k);
       }
     }
     geometry.setIndex(new BufferAttribute(index, 1));
@@ -197,10 +197,10 @@ export function cameraFrames(surface: Surface, colour: string, accent: string): 
     const [x, y, z] = [0, 3, 6].map((row) => new Vector3(...(camera.rotation.slice(row, row + 3) as [number, number, number])));
     const eye = cameraPlace(camera.rotation);
     const corner = (i: number, j: number): Vector3 =>
-      eye.clone().addScaledVector(x, 0.045 * i).addScaledVector(y, 0.045 * j).addScaledVector(z, 0.05);
+      eye.clone().addScaledVector(x, 0.04 * i).addScaledVector(y, 0.04 * j).addScaledVector(z, 0.05);
     const corners = [corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)];
     const lines = corners.flatMap((place, i) => [place, corners[(i + 1) % 4], place, eye]);
-    lines.push(eye, eye.clone().addScaledVector(z, 0.62));
+    lines.push(eye, eye.clone().addScaledVector(z, 0.5));
     const material = new LineBasicMaterial({ color: new Color(camera.reference ? accent : colour), transparent: true, opacity: 0.9 });
     group.add(new LineSegments(new BufferGeometry().setFromPoints(lines), material));
   }
@@ -209,7 +209,7 @@ export function cameraFrames(surface: Surface, colour: string, accent: string): 
 
 /** Return where the viewer draws a camera: its rays are parallel, so that only their direction means something. */
 export function cameraPlace(rotation: number[]): Vector3 {
-  return new Vector3(rotation[6], rotation[7], rotation[8]).multiplyScalar(-0.72);
+  return new Vector3(rotation[6], rotation[7], rotation[8]).multiplyScalar(-0.56);
 }
 
 /** Return the sparse points, in the scene's lengths without exaggeration. */

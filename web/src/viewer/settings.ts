@@ -3,7 +3,7 @@
 import { HOME, type Eye } from "./camera";
 import { colourTable, type ColourBy, type Colouring } from "./colours";
 import { heightRange, percentiles } from "./grid";
-import { decimalsOf, fixed, number, ticks, unitSign } from "./numbers";
+import { decimalsOf, fixed, number, ticks, tickStep, unitSign } from "./numbers";
 import type { Surface } from "./types";
 
 export interface Settings {
@@ -96,7 +96,7 @@ export function colouringOf(settings: Settings, surface: Surface, facts: Facts):
     const marks = Array.from({ length: 5 }, (_, i) => low + (i / 4) * (high - low));
     return {
       by: "sigma",
-      title: `Uncertainty, 1 σ (${sign})`,
+      title: `1 σ (${sign})`,
       low,
       high,
       table: colourTable("magma"),
@@ -110,7 +110,7 @@ export function colouringOf(settings: Settings, surface: Surface, facts: Facts):
     const marks = Array.from({ length: high }, (_, i) => i + 1).filter((n) => n % every === 0 || n === high);
     return {
       by: "views",
-      title: "Views that agree",
+      title: "Views",
       low: 0.5,
       high: high + 0.5,
       table: stepped(colourTable(settings.colourMap), high),
@@ -120,7 +120,7 @@ export function colouringOf(settings: Settings, surface: Surface, facts: Facts):
   }
   const [low, high] = facts.shown;
   const marks = ticks(low, high, 5);
-  const decimals = marks.length > 1 ? decimalsOf(marks[1] - marks[0]) : 3;
+  const decimals = decimalsOf(tickStep(low, high, 5));
   return {
     by: settings.colourBy,
     title: `Height (${sign})`,

@@ -19,11 +19,12 @@ uniform float pointSize;
 uniform mat4 modelViewMatrix;
 uniform mat4 projectionMatrix;
 out vec2 place;
+flat out vec2 corner;
 out float value;
 void main() {
   ivec2 at = min(ivec2(tile) + ivec2(position) * stride, size - 1);
   value = texelFetch(heights, at, 0).r;
-  place = vec2(at);
+  place = corner = vec2(at);
   vec2 centred = (vec2(at) - 0.5 * vec2(size - 1)) * spacing;
   gl_Position = projectionMatrix * modelViewMatrix * vec4(centred, (value - middle) * lift, 1.0);
   gl_PointSize = pointSize;
@@ -35,8 +36,10 @@ precision highp float;
 precision highp int;
 precision highp sampler2D;
 in vec2 place;
+flat in vec2 corner;
 in float value;
 uniform ivec2 size;
+uniform int stride;
 uniform sampler2D triangles;
 uniform sampler2D slopes;
 uniform sampler2D micrograph;
@@ -60,11 +63,17 @@ void main() {
     ivec2 cell = clamp(ivec2(place), ivec2(0), size - 2);
     vec2 within = place - vec2(cell);
     int part = within.x + within.y < 1.0 ? 1 : 2;
+    if (stride == 1) {
+      // Exact at the edges of a gap, where the interpolated place may lie in the cell beside.
+      vec2 off = place - corner;
+      part = off.x + off.y >= 0.0 ? 1 : 2;
+      cell = ivec2(corner) - (part - 1);
+    }
     if ((int(texelFetch(triangles, cell, 0).r * 255.0 + 0.5) & part) == 0) discard;
   }
   vec2 uv = (place + 0.5) / vec2(size);
   vec3 base;
-  if (colourBy == 0) base = vec3(texture(micrograph, uv).r);
+  if (colourBy == 0) base = vec3(pow(texture(micrograph, uv).r, 0.72));
   else {
     float shown = value;
     if (colourBy == 2) shown = texelFetch(planes, ivec2(place + 0.5), 0).r * 255.0;
@@ -111,6 +120,9 @@ void main() {
   vec4 one = texture(left, uv);
   if (anaglyph == 0.0) { colour = one; return; }
   vec4 two = texture(right, uv);
+  // In grey, or a colour that one eye does not see would flicker.
+  one.rgb = vec3(dot(one.rgb, vec3(0.3, 0.59, 0.11)));
+  two.rgb = vec3(dot(two.rgb, vec3(0.3, 0.59, 0.11)));
   vec3 mixed = mat3(0.456, -0.0400822, -0.0152161, 0.500484, -0.0378246, -0.0205971, 0.176381, -0.0157589, -0.00546856) * one.rgb
     + mat3(-0.0434706, 0.378476, -0.0721527, -0.0879388, 0.73364, -0.112961, -0.00155529, -0.0184503, 1.2264) * two.rgb;
   colour = vec4(clamp(mixed, 0.0, 1.0), max(one.a, two.a));

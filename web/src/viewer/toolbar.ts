@@ -42,7 +42,12 @@ export function toolbar(
   };
   const toggle = (text: string, key: "shaded" | "anaglyph" | "cameras" | "sparse" | "axes", useful = true): HTMLElement => {
     const box = el("input", { type: "checkbox", disabled: !useful });
-    box.addEventListener("change", () => change({ [key]: box.checked }));
+    box.addEventListener("change", () => {
+      const { eye } = settings();
+      // The cameras stand above the surface: step back, so that they are seen.
+      const back = key === "cameras" && box.checked && eye.reach < 0.8 ? { eye: { ...eye, reach: 0.8 } } : {};
+      change({ [key]: box.checked, ...back });
+    });
     refreshers.push(() => (box.checked = settings()[key]));
     return el("label", { class: "sv-check" }, box, text);
   };
@@ -69,7 +74,7 @@ export function toolbar(
       ["height", "Height"],
       ...(has.micrograph ? ([["micrograph", "Micrograph"]] as [Settings["colourBy"], string][]) : []),
       ...(has.sigma ? ([["sigma", "Uncertainty"]] as [Settings["colourBy"], string][]) : []),
-      ...(has.views ? ([["views", "Views that agree"]] as [Settings["colourBy"], string][]) : []),
+      ...(has.views ? ([["views", "Number of views"]] as [Settings["colourBy"], string][]) : []),
     ]),
     choice("Colour map", "colourMap", [["viridis", "viridis"], ["cividis", "cividis"]]),
   );
@@ -86,7 +91,7 @@ export function toolbar(
       segments("Projection", [["perspective", "Perspective"], ["orthographic", "Orthographic"]], () => settings().eye.projection, (projection) =>
         change({ eye: { ...settings().eye, projection } })),
       el("div", { class: "sv-group" }, slider(
-        "Height ×", Math.log2(LEAST_LIFT), Math.log2(MOST_LIFT), 0.01, () => Math.log2(settings().exaggeration),
+        "z ×", Math.log2(LEAST_LIFT), Math.log2(MOST_LIFT), 0.01, () => Math.log2(settings().exaggeration),
         (value) => change({ exaggeration: rounded(2 ** value) }),
         (value) => `${rounded(2 ** value)}`,
       )),
@@ -109,14 +114,15 @@ export function toolbar(
     exports.length ? null : el("p", { class: "sv-quiet" }, "Other formats: the run's folder, and semscape convert."),
   ));
   const themes: Theme[] = ["auto", "light", "dark"];
-  const theme = el("button", { type: "button", class: "sv-button" });
+  const theme = el("button", { type: "button", class: "sv-button sv-only-icon" }, icon("M12 4a8 8 0 100 16zM12 4a8 8 0 010 16"));
   theme.addEventListener("click", () => {
     actions.setTheme(themes[(themes.indexOf(actions.theme()) + 1) % 3]);
     refresh();
   });
   refreshers.push(() => {
-    theme.textContent = { auto: "Auto", light: "Light", dark: "Dark" }[actions.theme()];
-    theme.setAttribute("aria-label", `Theme: ${actions.theme()}; press to change`);
+    const name = { auto: "as the system", light: "light", dark: "dark" }[actions.theme()];
+    theme.title = `Light or dark: ${name}`;
+    theme.setAttribute("aria-label", `Light or dark: ${name}; press to change`);
   });
   parts.push(theme);
   const refresh = (): void => {

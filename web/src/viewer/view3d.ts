@@ -26,7 +26,7 @@ import {
 } from "three";
 import { COLOUR_BAR_PX, drawColourBar, drawScaleBar, penOf, type Ink, type Pen2D } from "./annotate";
 import { drawAxes } from "./axes";
-import { cameraOf, directionOf } from "./camera";
+import { cameraOf, directionOf, fitted, type Eye } from "./camera";
 import type { Colouring } from "./colours";
 import { gridFromWorld } from "./grid";
 import { short, unitSign } from "./numbers";
@@ -134,6 +134,15 @@ export class View3D {
     if (pen) this.drawOver(pen);
   }
 
+  /** Return an eye brought to where it just sees the whole surface. */
+  fitted(eye: Eye): Eye {
+    const { rows, cols } = this.surface;
+    const corners = [0, cols - 1].flatMap((x) => [0, rows - 1].flatMap((y) => this.facts.shown.map((z) => this.toScene(x, y, z, new Vector3()))));
+    // Room for the colour bar and the axes' letters beside it.
+    const width = Math.max(1, this.canvas.clientWidth - COLOUR_BAR_PX - 40);
+    return fitted(eye, corners, width / Math.max(1, this.canvas.clientHeight));
+  }
+
   /** Return where in the grid the surface is seen at a place of the view in CSS px, and its height; null beside it. */
   pick(x: number, y: number): [number, number, number] | null {
     const camera = this.camera();
@@ -224,7 +233,8 @@ export class View3D {
     const triangles = this.renderPasses(this.movingStride());
     this.annotate();
     this.onPicture("moving", triangles);
-    this.drawn();
+    // What is drawn now is on the screen when the next frame begins.
+    requestAnimationFrame(() => requestAnimationFrame(() => this.drawn()));
     if (this.fineStride() < this.movingStride()) {
       this.still = window.setTimeout(() => void this.drawStill(++this.job), STILL_AFTER_MS);
     } else this.onPicture("still", triangles);
@@ -241,9 +251,11 @@ export class View3D {
       const tiles = this.tiles(stride, camera);
       this.renderer.setRenderTarget(target);
       this.renderer.clear();
-      for (let first = 0; first < tiles.length; first += 2 * perSlice) {
+      for (let done = 0; done < tiles.length; ) {
         const start = performance.now();
-        this.renderSurface(tiles.slice(first, first + 2 * perSlice), stride, camera, target);
+        const slice = tiles.slice(done, done + 2 * perSlice);
+        this.renderSurface(slice, stride, camera, target);
+        done += slice.length;
         await new Promise((resolve) => requestAnimationFrame(resolve));
         if (job !== this.job) return;
         const spent = performance.now() - start;
@@ -300,7 +312,7 @@ export class View3D {
       Math.sin(azimuth) * Math.cos(altitude), Math.cos(azimuth) * Math.cos(altitude), Math.sin(altitude),
     );
     uniforms.toEye.value.copy(directionOf(settings.eye));
-    uniforms.shading.value = settings.shaded ? (colouring.by === "micrograph" ? 0.75 : 1) : 0;
+    uniforms.shading.value = settings.shaded ? (colouring.by === "height" ? 1 : 0.6) : 0;
     uniforms.pointSize.value = dots ? Math.max(1.5, Math.min(7, 0.75 * stride * this.cellPx())) : 0;
     uniforms.wire.value = settings.style === "wireframe" ? this.wireStride() : 0;
     this.setTable(colouring.table);
