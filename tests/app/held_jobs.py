@@ -5,10 +5,10 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from semscape.app import calculations
 from semscape.app.workspace import Run
 
 
@@ -21,8 +21,8 @@ class InlineDesk:
     def __exit__(self, *_: object) -> None:
         pass
 
-    def do(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        return function(*arguments)
+    def do(self, name: str, *arguments: Any) -> Any:
+        return getattr(calculations, name)(*arguments)
 
 
 class HeldJob:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import time
 import tomllib
 import zipfile
@@ -235,6 +236,10 @@ def test_every_format_can_be_downloaded(client: TestClient, finished: str, works
     assert not list(workspace.cache.glob("export-*"))
 
 
+def test_every_format_of_convert_is_offered(client: TestClient) -> None:
+    assert client.get("/api/state").json()["formats"] == list(FORMATS)
+
+
 def test_a_stereo_picture_needs_the_images_and_says_so(client: TestClient, finished: str) -> None:
     answer = client.get(f"/api/runs/{finished}/export/anaglyph")
     assert answer.status_code == 400
@@ -261,6 +266,38 @@ def test_the_preview_is_there_as_soon_as_the_points_are(
     np.testing.assert_allclose(shown, points, rtol=1e-6)
 
 
+def test_a_run_that_another_program_makes_is_shown_and_left_alone(
+    client: TestClient, workspace: Workspace, finished: str
+) -> None:
+    from semscape.io.lock import FolderLock
+
+    folder = workspace.folder / finished
+    work = folder / ".semscape-work"
+    work.mkdir()
+    lines = [
+        {"stage": "detect", "message": "stage detect begins"},
+        {"stage": "detect", "message": "stage detect ended", "figures": {"n_keypoints": 7, "margin": float("nan")}},
+        {"stage": "match", "message": "stage match begins"},
+    ]
+    times = ("2026-01-01T00:00:00+00:00", "2026-01-01T00:00:02+00:00", "2026-01-01T00:00:02+00:00")
+    text = "\n".join(
+        json.dumps(line | {"logger": "semscape.run", "time": time}) for line, time in zip(lines, times, strict=True)
+    )
+    (work / "run.log").write_text(text + "\nno json\n")
+    with FolderLock(folder):
+        run = client.get(f"/api/runs/{finished}").json()
+        assert run["state"] == "running"
+        assert [stage["state"] for stage in run["stages"]] == ["done", "running", *["waiting"] * 4]
+        assert run["stages"][0] == {
+            "name": "detect", "state": "done", "seconds": 2.0, "figures": {"n_keypoints": 7, "margin": None}
+        }  # fmt: skip
+        assert client.delete(f"/api/runs/{finished}").status_code == 409
+    assert client.get(f"/api/runs/{finished}").json()["state"] == "done"
+    log = client.get(f"/api/runs/{finished}/log")
+    assert log.headers["content-type"] == "text/plain; charset=utf-8"
+    assert "stage detect begins" in log.text
+
+
 def test_a_title_changes_and_no_folder(client: TestClient, uploaded: str, finished: str, workspace: Workspace) -> None:
     run = client.put(f"/api/runs/{uploaded}", json={"title": "Bruch, 5 kV"}).json()
     assert (run["name"], run["title"]) == (uploaded, "Bruch, 5 kV")
@@ -276,8 +313,6 @@ def test_a_run_that_is_removed_is_only_put_aside(client: TestClient, uploaded: s
 
 def test_a_page_hears_of_every_change(client: TestClient, uploaded: str) -> None:
     """The same text is what the server sends as an event, and what a page that cannot listen asks for."""
-    import json
-
     parts = client.app.state.parts  # type: ignore[attr-defined]
     before = json.loads(parts.snapshots.text())
     client.put(f"/api/runs/{uploaded}/cells", json={"key": "pixel_size_um", "value": 0.3})

@@ -14,6 +14,7 @@ import trimesh
 from PIL import Image
 
 from semscape.app.workspace import UnknownRunError
+from semscape.batch.folder_run import reconstruct_folder
 from semscape.io.finished_run import FinishedRun, read_finished_run, read_finished_views
 from semscape.io.inspect import describe_series
 from semscape.io.micrograph import read_micrograph
@@ -22,7 +23,7 @@ from semscape.io.series import load_series
 from semscape.io.value_file import decode_value
 from semscape.metrology.grid import Region
 from semscape.metrology.request import MeasureRequest
-from semscape.options import ConvertOptions, MeasureOptions
+from semscape.options import ConvertOptions, MeasureOptions, Options
 from semscape.report.conversion import convert
 from semscape.report.measurement import measure_run, measured_to_dict
 from semscape.report.surface_file import cameras_of, encode_surface
@@ -32,6 +33,11 @@ from semscape.types import Reconstruction
 THUMBNAIL_PX = 320
 _MOST_PREVIEW_POINTS = 30_000
 _MOST_VALUE_BYTES = 2_000_000_000
+
+
+def reconstruct(images: str, output: str, settings: tuple[str, ...]) -> None:
+    """Make a run of a folder of images (see `semscape.batch.folder_run`)."""
+    reconstruct_folder(Path(images), Path(output), Options().with_settings(list(settings)))
 
 
 def describe_images(folder: Path) -> dict[str, Any]:

@@ -66,7 +66,8 @@ def run_app(
         clear_partial_files(runs)
         with closing(_listen(port or 0)) as listener:
             access = Access(listener.getsockname()[1])
-            parts = Parts(runs, RunQueue(runs, ReconstructionJob, options.runs_at_once), Desk(), options)
+            queue = RunQueue(runs, ReconstructionJob, options.runs_at_once)
+            parts = Parts(runs, queue, Desk(), options, lambda: server.should_exit)
             config = uvicorn.Config(
                 build_app(parts, access),
                 log_level="info" if debug else "warning",
@@ -75,13 +76,14 @@ def run_app(
                 timeout_graceful_shutdown=1,
                 ws="none",
             )
+            server = uvicorn.Server(config)
             say(f"runs are in {runs.folder}")
             say(f"open {access.address}")
             say("leave this window open; Ctrl-C ends the app, and runs that are not ready go on at its next start")
             if open_browser:
                 threading.Timer(0.5, webbrowser.open, [access.address]).start()
             with suppress(KeyboardInterrupt):  # raised again by uvicorn, after everything was brought to an end
-                uvicorn.Server(config).run(sockets=[listener])
+                server.run(sockets=[listener])
             say("the app has ended")
 
 

@@ -16,8 +16,8 @@ from fastapi.responses import FileResponse, Response, StreamingResponse
 from pydantic import BaseModel, Field
 from starlette.background import BackgroundTask
 
-from semscape.app import calculations
 from semscape.app.desk import Desk
+from semscape.app.exports import FORMAT_NAMES
 from semscape.app.names import displayed_name
 from semscape.app.plain_words import plain_words
 from semscape.app.requests import CellEdit, MeasureQuestion, NewRun, ReconstructRequest, convert_settings
@@ -28,8 +28,8 @@ from semscape.app.snapshots import Snapshots
 from semscape.app.summary import Summary, summarize
 from semscape.app.uploads import remove_file, take_file
 from semscape.app.workspace import Run, UnknownRunError, Workspace, read_plain_file
+from semscape.io.work_folder import LOG_NAME
 from semscape.options import AppOptions
-from semscape.report.conversion import FORMATS
 
 _MOST_REPORT_BYTES = 200_000_000
 _SMALL_PX = 240
@@ -63,6 +63,7 @@ class Parts:
     queue: RunQueue
     desk: Desk
     limits: AppOptions
+    is_ending: Callable[[], bool] = lambda: False
     understanding: Understanding = field(init=False)
     snapshots: Snapshots = field(init=False)
 
@@ -110,7 +111,7 @@ def run_routes(parts: Parts) -> APIRouter:
             max_file_mb=limits.max_file_mb,
             max_files=limits.max_files,
             max_run_mb=limits.max_run_mb,
-            formats=list(FORMATS),
+            formats=list(FORMAT_NAMES),
             runs=parts.snapshots.runs(),
         )
 
@@ -125,7 +126,7 @@ def run_routes(parts: Parts) -> APIRouter:
 
         async def lines() -> AsyncIterator[str]:
             sent, silent = "", 0
-            while True:
+            while not parts.is_ending():
                 text = await to_thread.run_sync(parts.snapshots.text)
                 silent = 0 if text != sent else silent + 1
                 if text != sent:
@@ -190,7 +191,7 @@ def run_routes(parts: Parts) -> APIRouter:
         if found is None:
             raise UnknownRunError("there is no such image in this run")
         changed = (images / found).stat().st_mtime_ns
-        draw = partial(parts.desk.do, calculations.draw_image, images / found, _SMALL_PX)
+        draw = partial(parts.desk.do, "draw_image", images / found, _SMALL_PX)
         path = parts.made(draw, "image", run.name, found, str(changed))
         return FileResponse(path, media_type="image/png", headers={"Cache-Control": "private, max-age=3600"})
 
@@ -241,14 +242,14 @@ def result_routes(parts: Parts) -> APIRouter:
     @router.get("/preview", responses=_binary("application/octet-stream"), response_class=Response)
     def preview(name: str) -> Response:
         """Return the sparse points of a run that goes on: float32 x, y, z, little-endian, um or px."""
-        points = desk.do(calculations.sparse_points, workspace.run(name).work)
+        points = desk.do("sparse_points", workspace.run(name).work)
         return Response(points, media_type="application/octet-stream")
 
     @router.get("/thumbnail", responses=_binary("image/png"), response_class=FileResponse)
     def thumbnail(name: str) -> FileResponse:
         """Return a small picture of the surface."""
         run, revision = finished(name)
-        draw = partial(desk.do, calculations.draw_thumbnail, run.folder)
+        draw = partial(desk.do, "draw_thumbnail", run.folder)
         path = parts.made(draw, "thumbnail", run.name, revision)
         return FileResponse(path, media_type="image/png", headers={"Cache-Control": "private, max-age=3600"})
 
@@ -256,7 +257,7 @@ def result_routes(parts: Parts) -> APIRouter:
     def surface(name: str) -> FileResponse:
         """Return what the viewer shows (docs/viewer.md)."""
         run, revision = finished(name)
-        path = parts.made(partial(desk.do, calculations.write_surface, run.folder), "surface", run.name, revision)
+        path = parts.made(partial(desk.do, "write_surface", run.folder), "surface", run.name, revision)
         return FileResponse(path, media_type="application/octet-stream")
 
     @router.get("/result")
@@ -266,6 +267,14 @@ def result_routes(parts: Parts) -> APIRouter:
         report = workspace.report(run)
         told = report.get("warnings")
         return report | {"warnings": [plain_words(str(text), run) for text in told] if isinstance(told, list) else []}
+
+    @router.get("/log", responses=_binary("text/plain"), response_class=Response)
+    def log(name: str) -> Response:
+        """Return what happened in a run, a line of JSON for each event."""
+        run = workspace.run(name)
+        path = run.work / LOG_NAME if (run.work / LOG_NAME).is_file() else run.folder / LOG_NAME
+        text = read_plain_file(path, _MOST_REPORT_BYTES)
+        return Response(text, media_type="text/plain; charset=utf-8")
 
     @router.get("/report", responses=_binary("text/html"), response_class=Response)
     def report(name: str) -> Response:
@@ -283,12 +292,12 @@ def result_routes(parts: Parts) -> APIRouter:
     ) -> FileResponse:
         """Return the surface in a format of `semscape convert`."""
         run, _ = finished(name)
-        if format_name not in FORMATS:
-            raise UnknownRunError(f"there is no such format; there are {', '.join(FORMATS)}")
+        if format_name not in FORMAT_NAMES:
+            raise UnknownRunError(f"there is no such format; there are {', '.join(FORMAT_NAMES)}")
         folder = Path(tempfile.mkdtemp(prefix="export-", dir=workspace.cache))
         try:
             settings = convert_settings(unit, color)
-            path = desk.do(calculations.exported, run.folder, format_name, settings, run.images, folder)
+            path = desk.do("exported", run.folder, format_name, settings, run.images, folder)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -299,7 +308,7 @@ def result_routes(parts: Parts) -> APIRouter:
     def measure(name: str, body: MeasureQuestion) -> dict[str, Any]:
         """Measure the surface: ISO 25178 parameters of the whole or a region, profile, step, angle, distance."""
         run, _ = finished(name)
-        answer: dict[str, Any] = desk.do(calculations.measured, run.folder, body.settings(), body.places())
+        answer: dict[str, Any] = desk.do("measured", run.folder, body.settings(), body.places())
         return answer | {"warnings": [plain_words(text) for text in answer["warnings"]]}
 
     return router

@@ -56,8 +56,6 @@ class Understanding:
         UnknownRunError
             If the run's images are not in the workspace.
         """
-        from semscape.app.calculations import describe_images
-
         images = run.require_images()
         names = run.image_names()
         key = hashlib.sha256(repr(sorted(file_states(images).items())).encode()).hexdigest()
@@ -67,7 +65,7 @@ class Understanding:
             described = held[1]
         elif len(names) >= 2:
             try:
-                described = self._desk.do(describe_images, images)
+                described = self._desk.do("describe_images", images)
             except SemscapeError as error:
                 described = {"problem": plain_words(str(error), run)}
             self._known[run.name] = key, described

@@ -23,6 +23,7 @@ from semscape.app.names import displayed_name, run_name
 from semscape.app.run_state import RunState, read_state, write_state
 from semscape.errors import BadInputError
 from semscape.io.image_file import IMAGE_SUFFIXES
+from semscape.io.lock import LOCK_NAME, is_locked
 from semscape.io.run_folder import RUN_FORMAT, WORK_NAME, make_folder
 from semscape.io.series import natural_key
 from semscape.io.series_toml import SIDECAR_NAME
@@ -149,6 +150,8 @@ class Workspace:
             If it waits or is being made.
         """
         run.require_idle()
+        if (run.folder / LOCK_NAME).is_file() and is_locked(run.folder):
+            raise BusyRunError("another program is making this run; wait for its end")
         stamp = time.strftime("%Y%m%d-%H%M%S")
         target = make_folder(self.folder / REMOVED_NAME / f"{run.name}-{stamp}-{time.time_ns() % 1_000_000:06d}")
         try:

@@ -24,6 +24,16 @@ export class Live {
       this.source?.close();
       clearInterval(this.timer);
     });
+    // A browser opens six connections to one server: pages that nobody looks at must not hold them.
+    document.addEventListener("visibilitychange", () => {
+      if (document.hidden) {
+        this.source?.close();
+        this.source = null;
+      } else {
+        this.connect();
+        void this.refresh();
+      }
+    });
     addEventListener("pageshow", (event) => {
       if (event.persisted) location.reload();
     });
@@ -50,7 +60,8 @@ export class Live {
   }
 
   private connect(): void {
-    if (typeof EventSource === "undefined") return;
+    if (typeof EventSource === "undefined" || document.hidden) return;
+    this.source?.close();
     this.source = new EventSource("/api/events");
     this.source.addEventListener("runs", (event) => {
       this.heard = performance.now();
@@ -59,6 +70,7 @@ export class Live {
   }
 
   private async check(): Promise<void> {
+    if (document.hidden) return;
     const isOpen = this.source?.readyState === OPEN;
     if (isOpen && this.trouble === "") return;
     if (performance.now() - this.heard < SILENCE_MS && this.trouble === "") return;

@@ -1,6 +1,6 @@
 /** One run: its images, its progress, its result. */
 
-import { api, type AppState, type Run } from "./api";
+import { address, api, type AppState, type Run } from "./api";
 import { button, el, fill } from "./dom";
 import { ImagesTable } from "./images_table";
 import type { Live } from "./live";
@@ -112,6 +112,9 @@ export class RunPage {
       el("h1", {}, run.title, " ", el("span", { class: `chip ${chipClass(run)}` }, chipText(run))),
       run.verdict ? el("p", { class: `banner ${gradeClass(run)}` }, run.verdict) : null,
       run.message ? el("p", { class: `banner ${run.state === "failed" ? "bad" : "plain"}`, role: "status" }, run.message) : null,
+      run.state === "failed" && run.stages.length > 0
+        ? el("p", {}, el("a", { href: address(run.name, "log"), target: "_blank", rel: "noopener" }, "Log of this run"))
+        : null,
       run.is_stale && run.state !== "running" && run.state !== "queued"
         ? el("p", { class: "banner warn" }, "The images, or what is told of them, have changed since this result. Reconstruct again to use that.")
         : null,
