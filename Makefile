@@ -20,7 +20,7 @@ help:
 	@echo "make lint           style and types"
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
-	@echo "make benchmark      seconds per stage and peak memory, as JSON"
+	@echo "make benchmark      seconds per stage and of measuring, peak memory, tilt correction, as JSON"
 	@echo "make simulator-realism  simulated beside measured series: the table of docs/simulator.md"
 	@echo "make simulator-speed    seconds per simulated view, as JSON"
 	@echo "make docs-pictures  draw the pictures of docs/ again"
@@ -70,6 +70,8 @@ accuracy: $(STAMP)
 
 benchmark: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py
+	@$(BIN)/python benchmarks/metrology.py
+	@$(BIN)/python benchmarks/tilt_correction.py
 
 simulator-realism: $(STAMP)
 	@$(BIN)/python benchmarks/simulator_realism.py

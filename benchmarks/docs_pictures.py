@@ -1,31 +1,40 @@
 """Draw the pictures of docs/ (`make docs-pictures`): hillshades of the measured series, the one of the README,
 and the pair with a fixed threshold and a contrario.
 
-Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens, matching.
+Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens, matching, viewer,
+report; the last two need a chromium.
 """
 
 from __future__ import annotations
 
 import io
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from PIL.Image import fromarray
 
 import semscape
+from chromium import CHROMIUM_FLAGS, find_chromium
 from isolated import REAL_SETS, REPOSITORY, absent, real_set_folder
 from semscape.experiments.matching import FIXED_THRESHOLDS_PX
 from semscape.experiments.matching_pairs import simulated_pair
 from semscape.experiments.study import Setting
 from semscape.report.figures import hillshade_picture
 from semscape.report.hillshade import hillshade
+from semscape.report.html import render_html
 from semscape.simulate import PRESETS, SPECIMENS, acquire, simulate
 from semscape.types import Result
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+    from playwright.sync_api import Page
 
 PICTURES = REPOSITORY / "docs" / "pictures"
 _LARGEST_BYTES = 500_000
@@ -42,8 +51,57 @@ def draw_real(name: str) -> bytes:
 
 def draw_readme() -> bytes:
     """Return micrograph, shaded relief and height map of a simulated series side by side."""
+    return _side_by_side(_readme_result())
+
+
+def draw_viewer() -> bytes:
+    """Return the viewer in a browser, with a profile over the specimen."""
+    with _report_in_browser() as page:
+        page.click("button[data-tool=profile]")
+        box = page.locator("canvas[data-name=map]").bounding_box()
+        assert box is not None
+        ends = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in ((0.1, 0.62), (0.72, 0.4))]
+        page.mouse.move(*ends[0])
+        page.mouse.down()
+        page.mouse.move(*ends[1], steps=5)
+        page.mouse.up()
+        page.mouse.move(5, 5)
+        page.wait_for_timeout(500)
+        page.wait_for_selector(".sv-root[data-picture=still]")
+        return page.locator(".sv-root").screenshot()
+
+
+def draw_report() -> bytes:
+    """Return the upper part of a report in a browser that prefers dark pages."""
+    with _report_in_browser("dark") as page:
+        page.select_option("select[aria-label='Colour by']", "micrograph")
+        page.wait_for_timeout(500)
+        page.wait_for_selector(".sv-root[data-picture=still]")
+        page.mouse.wheel(0, -5000)
+        page.wait_for_timeout(300)
+        return page.screenshot()
+
+
+@contextmanager
+def _report_in_browser(scheme: Literal["light", "dark"] = "light") -> Iterator[Page]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver, tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "report.html"
+        path.write_text(render_html(_readme_result()), encoding="utf-8")
+        browser = driver.chromium.launch(executable_path=find_chromium(), args=CHROMIUM_FLAGS)
+        page = browser.new_page(viewport={"width": 1280, "height": 1020}, color_scheme=scheme)
+        page.goto(path.as_uri())
+        page.wait_for_selector(".sv-root[data-picture=still]")
+        page.locator(".sv-views").scroll_into_view_if_needed()
+        yield page
+        browser.close()
+
+
+@cache
+def _readme_result() -> Result:
     series, _ = simulate(_README_SPECIMEN, PRESETS["nominal"], rng=0)
-    return _side_by_side(semscape.reconstruct(series, rng=0))
+    return semscape.reconstruct(series, rng=0)
 
 
 def draw_matching() -> bytes:
@@ -117,7 +175,13 @@ def _png(image: Image) -> bytes:
     return buffer.getvalue()
 
 
-_SIMULATED = {"readme": draw_readme, "specimens": draw_specimens, "matching": draw_matching}
+_SIMULATED = {
+    "readme": draw_readme,
+    "specimens": draw_specimens,
+    "matching": draw_matching,
+    "viewer": draw_viewer,
+    "report": draw_report,
+}
 
 
 def main(names: list[str]) -> None:

@@ -56,7 +56,7 @@ TARGETS: tuple[Callable[[bytes], object], ...] = (
     lambda data: parse_tescan(tescan_tag_text(data), SHAPE),
     lambda data: parse_jeol(decode_text(data), SHAPE),
     lambda data: parse_hitachi(decode_text(data), SHAPE),
-    lambda data: parse_phenom(decode_text(data)),
+    lambda data: parse_phenom(decode_text(data), SHAPE[0]),
     lambda data: parse_plain_tags(PlainTags(decode_text(data), 3.0, 4.0, 10.0)),
     lambda data: read_series_toml(_as_file("series.toml", data), ["a.tif", "b.tif"]),
     lambda data: find_specimens(_as_file("MANIFEST.csv", data), FOLDER / "out"),

@@ -8,49 +8,78 @@ spectrum with the truth over the truth's own, after the two are registered; half
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from isolated import Case, peak_memory_mb, run_cases, timed
 
+if TYPE_CHECKING:
+    from semscape.types import HeightMap
+
 _SIZE_PX = 2048
+_FILTERS = {"s_filter_um": 1.0, "l_filter_um": 20.0}
 _SERIES_PX = 448
 
 
-def measure_speed(filtered: bool) -> dict[str, Any]:
+def measure_speed(**chosen: Any) -> dict[str, Any]:
     """Time `measure` on a map of 4 megapixels, with levelling, Monte Carlo, profile and step."""
     import numpy as np
-    from scipy import ndimage
 
     from semscape.metrology.grid import Region
     from semscape.metrology.measure import measure
     from semscape.metrology.request import MeasureRequest
     from semscape.options import MeasureOptions
+
+    regions = Region(10, 10, 600, 600), Region(900, 900, 1500, 1500)
+    request = MeasureRequest(MeasureOptions(**chosen), profile=(100, 100, 1800, 900), step=regions)
+    height_map = _relief()
+    return _timed_twice(
+        lambda: (
+            measure(
+                height_map,
+                request,
+                height_scale_relative_sigma=0.01,
+                window_sigma_px=3.0,
+                rng=np.random.default_rng(0),
+            ).figures
+        )
+    )
+
+
+def measure_wear_speed() -> dict[str, Any]:
+    """Time registration and difference of two maps of 4 megapixels, one shifted by some pixels and worn."""
+    from semscape.metrology.measure import measure_change
+
+    later, earlier = _relief(worn_um=3.0), _relief(shift=(5, 3))
+    return _timed_twice(lambda: measure_change(later, earlier)[0])
+
+
+def _relief(shift: tuple[int, int] = (0, 0), worn_um: float = 0.0) -> HeightMap:
+    import numpy as np
+    from scipy import ndimage
+
     from semscape.types import HeightMap
 
     rng = np.random.default_rng(0)
     shape = (_SIZE_PX, _SIZE_PX)
     relief = sum(s * ndimage.gaussian_filter(rng.normal(size=shape), s, mode="wrap") for s in (3.0, 12.0, 40.0))
+    relief = np.roll(relief, shift, (0, 1))
     relief[rng.random((64, 64)).repeat(32, 0).repeat(32, 1) < 0.05] = np.nan
+    relief[500:600, 500:700] -= worn_um
     one, flat = np.ones(shape, np.uint8), np.zeros(shape, np.float32)
-    height_map = HeightMap(relief, np.full(shape, 0.05), one, flat, 0.05, np.eye(4), "um")
-    options = MeasureOptions(s_filter_um=1.0, l_filter_um=20.0) if filtered else MeasureOptions()
-    regions = Region(10, 10, 600, 600), Region(900, 900, 1500, 1500)
-    request = MeasureRequest(options, profile=(100, 100, 1800, 900), step=regions)
-    best, cpu = np.inf, np.inf
+    return HeightMap(relief, np.full(shape, 0.05), one, flat, 0.05, np.eye(4), "um")
+
+
+def _timed_twice(figures: Callable[[], tuple[Any, ...]]) -> dict[str, Any]:
+    best, cpu, found = float("inf"), float("inf"), ()
     for _ in range(2):
         started = time.process_time()
-        measured, seconds = timed(
-            measure,
-            height_map,
-            request,
-            height_scale_relative_sigma=0.01,
-            window_sigma_px=3.0,
-            rng=np.random.default_rng(0),
-        )
+        found, seconds = timed(figures)
         best, cpu = min(best, seconds), min(cpu, time.process_time() - started)
     return {
         "megapixels": round(_SIZE_PX**2 / 1e6, 2),
-        "figures": len(measured.figures),
+        "figures": len(found),
         "seconds": round(best, 2),
         "cpu_seconds": round(cpu, 2),
         "peak_memory_mb": round(peak_memory_mb(), 1),
@@ -97,8 +126,11 @@ def measure_resolution(specimen: str) -> dict[str, Any]:
 
 
 CASES: dict[str, Case] = {
-    "speed": (measure_speed, (False,)),
-    "speed-filtered": (measure_speed, (True,)),
+    "speed": (measure_speed, ()),
+    "speed-filtered": (partial(measure_speed, **_FILTERS), ()),
+    "speed-sphere": (partial(measure_speed, level="sphere", **_FILTERS), ()),
+    "speed-all": (partial(measure_speed, level="poly4", robust=True, outlier_sigmas=6.0, **_FILTERS), ()),
+    "speed-wear": (measure_wear_speed, ()),
     "resolution-fracture": (measure_resolution, ("fracture",)),
     "resolution-pollen": (measure_resolution, ("pollen",)),
     "resolution-vickers": (measure_resolution, ("vickers",)),

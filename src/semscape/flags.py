@@ -26,6 +26,8 @@ def effective_options(
     seed: int | None,
     invert_relief: bool | None,
     scale_bar_um: float | None = None,
+    keep: str | None = None,
+    camera: str | None = None,
 ) -> Options:
     """Return the options: defaults, then the file's, then --set, then the explicit flags."""
     options = Options()
@@ -36,7 +38,7 @@ def effective_options(
             reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
             raise BadInputError(f"the options file {file} cannot be read: {reason}") from error
     options = options.with_settings(settings or [])
-    return with_flags(options, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um)
+    return with_flags(options, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep, camera)
 
 
 def with_flags(
@@ -47,9 +49,11 @@ def with_flags(
     seed: int | None = None,
     invert_relief: bool | None = None,
     scale_bar_um: float | None = None,
+    keep: str | None = None,
+    camera: str | None = None,
 ) -> Options:
     """Return options changed by the flags that are given; so the cells of a batch's manifest are read as well."""
-    values: dict[str, dict[str, Any]] = {"input": {}, "run": {}, "sfm": {}}
+    values: dict[str, dict[str, Any]] = {"input": {}, "run": {}, "sfm": {}, "dense": {}}
     if tilts is not None:
         values["input"]["tilts_deg"] = _numbers("--tilts", tilts)
     if pixel_size_um is not None:
@@ -64,6 +68,10 @@ def with_flags(
         values["run"]["seed"] = seed
     if invert_relief is not None:
         values["sfm"]["invert_relief"] = invert_relief
+    if keep is not None:
+        values["dense"]["keep"] = keep
+    if camera is not None:
+        values["sfm"]["camera"] = camera
     return options.with_values(values)
 
 

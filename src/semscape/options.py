@@ -65,6 +65,9 @@ _RANGES = {
     "dense.refine_sigma_px": _Range(0.5),
     "dense.refine_iterations": _Range(1),
     "dense.mesh_max_vertices": _Range(4),
+    "dense.tile_px": _Range(0),
+    "mesh.triangles": _Range(0),
+    "mesh.texture_px": _Range(16),
     "run.seed": _Range(0),
 }
 # Checked where text becomes options; in Python an unknown detector is misuse, see `semscape.features.detect`.
@@ -73,6 +76,7 @@ _CHOICES = {
     "robust.model": ["affine", "fundamental", "homography", "essential", "auto"],
     "sfm.camera": ["orthographic", "perspective", "auto"],
     "sfm.method": ["series", "thesis"],
+    "dense.keep": ["all", "specimen"],
     "sfm.de_strategy": ["best1bin", "rand1bin"],
     "features.significance_by": ["model", "response", "scale"],
 }
@@ -177,7 +181,9 @@ class DenseOptions(_Stage):
     """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits.
 
     `sharp_jumps` sweeps all views once more where windows smear depth jumps; `evidence` ends with the most probable
-    surface. Both take several times as long.
+    surface. Both take several times as long. Fields whose sides are longer than `tile_px` are computed in tiles with
+    overlap, so that memory does not grow with them; 0 is one piece. `keep` is "all" or "specimen": without what lies on
+    the background stub.
     """
 
     max_pairs: int = 6
@@ -190,6 +196,8 @@ class DenseOptions(_Stage):
     sharp_jumps: bool = False
     evidence: bool = False
     mesh_max_vertices: int = 400_000
+    tile_px: int = 768
+    keep: str = "all"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -198,6 +206,23 @@ class DenseOptions(_Stage):
                 f"option dense.penalty_small is {self.penalty_small:g}, must be <= dense.penalty_large, "
                 f"{self.penalty_large:g}"
             )
+
+
+@dataclass(frozen=True)
+class MeshOptions(_Stage):
+    """Mesh: come down to so many `triangles`, 0 keeps all, or stay within `error_um` of them (px without a pixel size).
+
+    `texture_px` is the longest side of the micrograph on the mesh: many viewers show no larger ones.
+    """
+
+    triangles: int = 0
+    error_um: float = math.nan
+    texture_px: int = 4096
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isnan(self.error_um) or 0 < self.error_um < math.inf):
+            raise BadInputError(f"option mesh.error_um is {self.error_um:g}, must be > 0")
 
 
 @dataclass(frozen=True)
@@ -281,6 +306,7 @@ class Options:
     robust: RobustOptions = field(default_factory=RobustOptions)
     sfm: SfmOptions = field(default_factory=SfmOptions)
     dense: DenseOptions = field(default_factory=DenseOptions)
+    mesh: MeshOptions = field(default_factory=MeshOptions)
     run: RunOptions = field(default_factory=RunOptions)
 
     def with_settings(self, settings: list[str]) -> Options:

@@ -14,16 +14,19 @@ from typing import Any, TypeVar
 import numpy as np
 
 from semscape.cluster import Mapper, local_mapper
-from semscape.dense.mesh import height_map_mesh
-from semscape.dense.surface import dense_surface
+from semscape.dense.decimate import decimate
+from semscape.dense.full_object import FullObject, full_object_surface
+from semscape.dense.mesh import height_map_mesh, with_picture
+from semscape.dense.tiles import surface_in_tiles
 from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
 from semscape.features.significance import keep_significant
 from semscape.options import FeaturesOptions, Options, RunOptions
-from semscape.report.memory import PeakMemory
+from semscape.report.memory import PeakMemory, release_memory
 from semscape.report.summary import build_report, pair_figures
 from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import Calibration, calibrate
+from semscape.sfm.full_object import calibrate_full_object
 from semscape.sfm.misfit import misfitting_view
 from semscape.sfm.plausibility import require_tilts
 from semscape.sfm.thesis import thesis_calibration
@@ -31,14 +34,19 @@ from semscape.sfm.tracks import build_tracks
 from semscape.sfm.two_view import Pair, largest_connected_set, match_pair, renumber
 from semscape.types import (
     FloatArray,
+    HeightMap,
     Keypoints,
     Matches,
     Observations,
     Result,
     StageReport,
+    SurfaceMesh,
     TiltSeries,
     TwoViewGeometry,
 )
+
+# Of the mesh that is decimated; a larger grid is thinned to it.
+_FULL_MESH_VERTICES = 2_000_000
 
 Progress = Callable[[str, dict[str, Any] | None], None]
 Value = TypeVar("Value")
@@ -101,11 +109,7 @@ def reconstruct(
     >>> result.height_map.height_um.shape
     (256, 256)
     """
-    options = options or Options()
-    if rng is not None:
-        if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
-            raise ValueError(f"rng must be a seed, a whole number >= 0, got {rng!r}")
-        options = replace(options, run=RunOptions(seed=int(rng)))
+    options = _seeded(options or Options(), rng)
     seed = options.run.seed
     stages = _Stages(progress)
     require_tilts(series)
@@ -144,13 +148,12 @@ def reconstruct(
             figures["camera"], figures["camera_margin"] = reconstruction.camera, reconstruction.camera_margin
 
         with stages("surface") as figures:
-            surface = keep("surface", lambda: dense_surface(series, reconstruction, options.dense, mapper=mapper))
+            surface = keep("surface", lambda: surface_in_tiles(series, reconstruction, options.dense, mapper=mapper))
             figures["completeness"] = float(np.isfinite(surface.height_map.height_um).mean())
             figures["pairs"] = [list(pair) for pair in surface.pairs]
 
         with stages("mesh") as figures:
-            mesh = height_map_mesh(surface.height_map, max_vertices=options.dense.mesh_max_vertices)
-            figures["n_vertices"], figures["n_faces"] = len(mesh.vertices_um), len(mesh.faces)
+            mesh = surface_mesh(surface.height_map, options, figures)
 
     report = build_report(
         series,
@@ -163,6 +166,67 @@ def reconstruct(
         failures=tuple(failures),
     )
     return Result(series, keypoints, matches, geometries, reconstruction, surface.height_map, mesh, report)
+
+
+def reconstruct_full_object(
+    series: TiltSeries,
+    options: Options | None = None,
+    *,
+    rng: int | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[FullObject, tuple[StageReport, ...], tuple[str, ...]]:
+    """Reconstruct a whole body from views that the stage has tilted and rotated, as one watertight mesh.
+
+    Parameters
+    ----------
+    series : TiltSeries
+        With the tilt and the rotation of every view; at each rotation two or three tilts some degrees apart.
+    options, rng, workers, progress
+        As in `reconstruct`.
+
+    Returns
+    -------
+    FullObject
+        Motion, height map of each group of views, merged mesh.
+    tuple of StageReport
+        What the stages took.
+    tuple of str
+        Pairs that could not be matched.
+
+    Raises
+    ------
+    BadInputError
+        Where a tilt or a rotation is not known.
+    NoAnswerError
+        When the images do not determine the body.
+    """
+    options = _seeded(options or Options(), rng)
+    stages = _Stages(progress)
+    with local_mapper(workers) as mapper:
+        with stages("detect") as figures:
+            keypoints = tuple(mapper(partial(detect, options=options.features), series.views))
+            figures["n_keypoints"] = sum(len(found) for found in keypoints)
+        with stages("match") as figures:
+            matches, geometries, failures = _match_all(series, keypoints, options, options.run.seed, mapper)
+            figures["n_pairs"] = len(geometries)
+        with stages("calibrate") as figures:
+            observations = build_tracks(keypoints, matches, geometries)
+            motion = calibrate_full_object(series, observations, options.sfm)
+            figures["noise_sigma_px"] = motion.adjustment.sigma_px
+        with stages("surface") as figures:
+            found = full_object_surface(series, observations, motion, options.dense, mapper=mapper)
+            figures["groups"], figures["measured_fraction"] = len(found.maps), found.merged.measured
+            figures["n_faces"] = len(found.merged.mesh.faces)
+    return found, tuple(stages.done), tuple(failures)
+
+
+def _seeded(options: Options, rng: int | None) -> Options:
+    if rng is None:
+        return options
+    if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
+        raise ValueError(f"rng must be a seed, a whole number >= 0, got {rng!r}")
+    return replace(options, run=RunOptions(seed=int(rng)))
 
 
 def _significant(
@@ -196,6 +260,19 @@ def _match_all(
     failures = [str(outcome) for outcome in outcomes if isinstance(outcome, SemscapeError)]
     found = [outcome for outcome in outcomes if not isinstance(outcome, SemscapeError)]
     return tuple(matches for matches, _ in found), tuple(geometry for _, geometry in found), failures
+
+
+def surface_mesh(height_map: HeightMap, options: Options, figures: dict[str, Any]) -> SurfaceMesh:
+    """Mesh a height map as the options want it, with the micrograph on it; the figures are put into `figures`."""
+    if options.mesh.triangles or not np.isnan(options.mesh.error_um):
+        mesh = height_map_mesh(height_map, max_vertices=_FULL_MESH_VERTICES)
+        figures["n_faces_full"] = len(mesh.faces)
+        mesh, distance = decimate(mesh, options.mesh)
+        figures["largest_error"], figures["rms_error"] = distance.largest, distance.rms
+    else:
+        mesh = height_map_mesh(height_map, max_vertices=options.dense.mesh_max_vertices)
+    figures["n_vertices"], figures["n_faces"] = len(mesh.vertices_um), len(mesh.faces)
+    return with_picture(mesh, height_map, options.mesh.texture_px)
 
 
 def pairs_to_match(n_views: int, reach: int) -> list[Pair]:
@@ -334,6 +411,7 @@ class _Stage:
         return self._figures
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        release_memory()
         if kind is None:
             seconds = time.perf_counter() - self._start
             self._done.append(StageReport(self._name, seconds, self._figures, self._memory.peak_mb()))

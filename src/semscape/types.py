@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from enum import IntEnum
 from importlib import import_module
 from typing import Any, Literal
 
@@ -279,12 +280,27 @@ class Reconstruction(_Value):
     height_scale_relative_sigma_of_images: float = np.nan
 
 
+class Reason(IntEnum):
+    """Why a height is not known, 0 where it is; `docs/run-folder.md` says what each means."""
+
+    KNOWN = 0
+    OUTSIDE = 1
+    MASKED = 2
+    OCCLUDED = 3
+    SATURATED = 4
+    NO_TEXTURE = 5
+    INCONSISTENT = 6
+    BACKGROUND = 7
+    NOT_TOLD = 255
+
+
 @dataclass(frozen=True, eq=False)
 class HeightMap(_Value):
     """Heights over a regular grid at zero tilt: world_um = world_from_grid @ (col, row, height_um, 1).
 
     `height_um` and `uncertainty_um` (1 sigma) are (H, W), NaN = unknown; `n_views` (H, W) counts the views
-    that agree on each height; `texture` (H, W) float32 is the reference micrograph resampled into the grid.
+    that agree on each height; `texture` (H, W) float32 is the reference micrograph resampled into the grid;
+    `reason` (H, W) uint8 holds values of `Reason`, `specimen` (H, W) is False on the background.
     """
 
     height_um: FloatArray
@@ -294,16 +310,32 @@ class HeightMap(_Value):
     pixel_size_um: float
     world_from_grid: FloatArray
     length_unit: LengthUnit
+    reason: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 0), np.uint8))
+    specimen: BoolArray = field(default_factory=lambda: np.empty((0, 0), np.bool_))
+
+    def __post_init__(self) -> None:
+        if self.reason.shape != self.height_um.shape:  # left out
+            told = np.where(np.isfinite(self.height_um), Reason.KNOWN, Reason.NOT_TOLD).astype(np.uint8)
+            object.__setattr__(self, "reason", told)
+        if self.specimen.shape != self.height_um.shape:
+            object.__setattr__(self, "specimen", np.ones(self.height_um.shape, np.bool_))
+        super().__post_init__()
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMesh(_Value):
-    """Triangles: `vertices_um` (P, 3), `faces` (F, 3) counter-clockwise from outside, `color` (P, 3) uint8."""
+    """Triangles: `vertices_um` (P, 3), `faces` (F, 3) counter-clockwise from outside, `color` (P, 3) uint8.
+
+    `picture` (H, W) uint8 is the micrograph on it, where there is one, and `uv` (P, 2) each vertex's place in it: u
+    right, v up, 0 to 1 between the outer edges.
+    """
 
     vertices_um: FloatArray
     faces: NDArray[np.int64]
     color: NDArray[np.uint8]
     length_unit: LengthUnit
+    uv: FloatArray | None = None
+    picture: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True, eq=False)

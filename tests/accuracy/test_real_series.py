@@ -116,6 +116,14 @@ def test_the_axis_is_nearly_vertical(quartz, dsa, pollen: tuple[Tracked, Reconst
         assert np.rad2deg(found.motion.axis_angle_rad) == pytest.approx(90, abs=8)
 
 
+def test_the_axis_that_a_zeiss_header_tells_is_that_of_the_images(pollen: tuple[Tracked, Reconstruction]) -> None:
+    """The evidence for reading `AP_TILT_AXIS` as a direction in the image, counter-clockwise from the horizontal."""
+    header = pollen[0].series.views[0].metadata
+    assert (header.raw["AP_TILT_AXIS"], header.scan_rotation_rad) == ("Tilt Axis =  90.0 °", 0.0)
+    assert header.raw["DP_STAGE_TILTED"] == "Stage Tilt = in X"
+    assert np.rad2deg(pollen[1].motion.axis_angle_rad) == pytest.approx(90, abs=1)
+
+
 def test_dsa_has_5000_inliers_in_each_pair(dsa: tuple[Tracked, Reconstruction]) -> None:
     inliers = [int(geometry.inliers.sum()) for geometry in dsa[0].geometries]
     assert len(inliers) == 3

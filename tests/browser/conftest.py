@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -11,27 +10,9 @@ from typing import Any
 
 import pytest
 
+from chromium import CHROMIUM_FLAGS, CHROMIUM_VARIABLE, find_chromium
+
 WEB = Path(__file__).resolve().parents[2] / "web"
-CHROMIUM_VARIABLE = "SEMSCAPE_CHROMIUM"
-_USUAL_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-CHROMIUM_FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-dev-shm-usage",
-    "--force-color-profile=srgb",
-]
-
-
-def find_chromium() -> str | None:
-    """Return the path of a chromium: the one the environment names, else one of the usual ones."""
-    named = os.environ.get(CHROMIUM_VARIABLE)
-    return named or next((path for name in _USUAL_NAMES if (path := shutil.which(name))), None)
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from semscape.metrology.profile import extract_profile, profile_parameters
 from semscape.metrology.step import step_between_regions
 from semscape.metrology.volume import distance, volumes
 from semscape.report.surface_file import decode_surface, encode_surface
-from semscape.types import HeightMap
+from semscape.types import HeightMap, Reason
 from synthetic_result import make_result
 
 PIXEL = 0.05
@@ -197,6 +197,15 @@ def test_what_was_set_is_there_again(measured: Any, page: Any) -> None:
     assert page.get_attribute("button:has-text('Orthographic')", "aria-pressed") == "true"
     assert page.locator(".sv-table tr[data-name=Rq]").count() == 1
     assert page.evaluate("window.handle.state()") == kept
+
+
+def test_the_cursor_tells_why_a_height_is_unknown(measured: Any, page: Any) -> None:
+    reason = np.where(np.isfinite(RESULT.height_map.height_um), Reason.KNOWN, Reason.OCCLUDED).astype(np.uint8)
+    measured("inspect", [], encode_surface(replace(RESULT.height_map, reason=reason)))
+    page.locator("canvas[data-name=map]").focus()
+    for key in [*["Shift+ArrowRight"] * 7, *["Shift+ArrowUp"] * 5]:
+        page.keyboard.press(key)
+    assert "unknown (occluded)" in page.inner_text(".sv-readout")
 
 
 def test_bytes_that_are_no_surface_are_refused_in_words(measured: Any, page: Any) -> None:

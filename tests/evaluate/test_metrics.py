@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from semscape.evaluate.align import Alignment, align_points, align_to_surface, identity
 from semscape.evaluate.distances import Cloud, surface_figures
 from semscape.evaluate.surface import closest, make_surface
-from semscape.evaluate.triangle_tree import closest_on_triangles, make_tree
 from semscape.evaluate.units import Units
+from semscape.geometry.triangle_tree import closest_on_triangles, make_tree
 
 UNITS = Units(pixel_size_um=0.1, relief_um=4.0)
 RNG = np.random.default_rng(5)

@@ -1,4 +1,8 @@
-"""TESCAN, JEOL, Hitachi, Phenom, Thermo Fisher's XML, and files that no microscope wrote."""
+"""TESCAN, JEOL, Hitachi, Phenom, Thermo Fisher's XML, and files that no microscope wrote.
+
+Of Phenom, Thermo Fisher's XML and old Hitachi microscopes no real file is at hand: theirs are generated here, with
+the keys that public descriptions and programs that read them (Bio-Formats, pynxtools-em, SEMParser) agree on.
+"""
 
 from __future__ import annotations
 
@@ -148,6 +152,41 @@ def test_hitachi_sidecar(tmp_path: Path, model: str, encoding: str) -> None:
     assert any("10.2 deg, but is stored even when it is off" in text for text in warnings)
 
 
+OLD_HITACHI = """[SemImageFile]
+InstructName=S-4700
+SerialNumber=0000-00
+Format=tif
+ImageName=a.tif
+Date=06/06/2008
+DataSize=1280x960
+AcceleratingVoltage=10000 Volt
+Magnification=15000
+WorkingDistance=8100 um
+LensMode=High
+MicronMarker=3000
+Condition=Vacc=10kV   Mag=x15.0k   WD=8.1mm
+"""
+
+
+def test_old_hitachi_text_without_a_pixel_size(tmp_path: Path) -> None:
+    """127 mm is the width of the photograph: a measured TM4000 (below) has 165.3646 nm x 1280 x 600 = 127.00 mm."""
+    path = write_tiff(tmp_path / "a.tif", noise(1, (96, 1280)))
+    (tmp_path / "a.txt").write_text(OLD_HITACHI, encoding="ascii")
+    micrograph, warnings = read_micrograph_and_warnings(path)
+    metadata = micrograph.metadata
+    assert (metadata.vendor, metadata.model) == ("Hitachi", "S-4700")
+    assert metadata.pixel_size_um == pytest.approx(0.00661458, rel=1e-5)
+    assert metadata.origin["pixel_size_um"] == "a.txt, 127 mm / SemImageFile.Magnification / width"
+    assert metadata.working_distance_um == pytest.approx(8100)
+    assert metadata.accelerating_voltage_kv == pytest.approx(10)
+    assert "check the scale bar" in warnings[0]
+    told, _ = parse_hitachi(HITACHI, SHAPE)
+    assert told.pixel_size_um * told.magnification * 1280 == pytest.approx(127e3, rel=1e-5)
+    broken, warnings = parse_hitachi(OLD_HITACHI + "PixelSize=###\n", SHAPE)
+    assert math.isnan(broken.pixel_size_um)  # a value that cannot be read is not replaced by a guess
+    assert "###" in warnings[0]
+
+
 def test_hitachi_tilt_compensation_of_unknown_angle() -> None:
     metadata, _ = parse_hitachi("[SemImageFile]\nTiltCompensation=1\nRasterRotation=0\n", SHAPE)
     assert metadata.tilt_correction_rad is not None
@@ -198,6 +237,19 @@ def test_fei_xml() -> None:
     assert "unit prefix power" in warnings[0]
 
 
+def test_a_series_whose_files_hold_fei_xml_alone(tmp_path: Path) -> None:
+    """Scanned upside down, as the file's own 180 deg say: the tilts' sign is turned."""
+    for i in range(3):
+        text = FEI_XML.format(on="false", pre="0", power="1").replace("0.4712", str(0.1 * i))
+        tags = [(34683, "s", 0, text.encode(), True)]
+        tifffile.imwrite(tmp_path / f"a{i}.tif", noise(i, (120, 128)), extratags=tags, metadata=None)
+    series = load_series(tmp_path)
+    np.testing.assert_allclose(series.tilt_rad, [0.0, 0.1, 0.2])
+    np.testing.assert_allclose(series.pixel_size_um, 0.27)
+    assert not series.views[0].mask[100:].any()
+    assert any("tag 34683, Metadata.ScanSettings.ScanRotation" in text for text in series.warnings)
+
+
 def test_fei_ini_goes_before_its_xml_which_completes_it(tmp_path: Path) -> None:
     ini = fei_text(Scan={"PixelWidth": 1e-8, "PixelHeight": 1e-8})
     path = tmp_path / "a.tif"
@@ -212,8 +264,10 @@ def test_fei_ini_goes_before_its_xml_which_completes_it(tmp_path: Path) -> None:
     assert (metadata.origin["pixel_size_um"][:9], metadata.origin["tilt_rad"][:9]) == ("tag 34682", "tag 34683")
 
 
-PHENOM_XML = """<FeiImage version="2.0"><pixelWidth unit="nm">52.1</pixelWidth><pixelHeight unit="nm">52.1</pixelHeight>
-<instrument><type>Phenom ProX</type></instrument><workingDistance unit="mm">6.1</workingDistance>
+PHENOM_XML = """<FeiImage version="2.0"><databarHeight>24</databarHeight><databarFields>0</databarFields>
+<pixelWidth unit="nm">52.1</pixelWidth><pixelHeight unit="nm">52.1</pixelHeight>
+<instrument><type>DP-8</type><edition>G4 Phenom ProX</edition></instrument>
+<workingDistance unit="mm">6.1</workingDistance>
 <acquisition><scan><highVoltage unit="kV">-10</highVoltage></scan></acquisition>
 <multiStage><axis id="X" unit="um">3</axis><axis id="Tilt" unit="deg">7</axis></multiStage></FeiImage>"""
 
@@ -221,20 +275,32 @@ PHENOM_XML = """<FeiImage version="2.0"><pixelWidth unit="nm">52.1</pixelWidth><
 def test_phenom(tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, noise(1), extratags=[(34683, "s", 0, PHENOM_XML.encode(), True)], metadata=None)
-    metadata = read_micrograph(path).metadata
-    assert (metadata.vendor, metadata.model) == ("Phenom", "Phenom ProX")
+    micrograph = read_micrograph(path)
+    assert micrograph.mask[:72].all()
+    assert not micrograph.mask[72:].any()
+    metadata = micrograph.metadata
+    assert (metadata.vendor, metadata.model) == ("Phenom", "G4 Phenom ProX")
     assert metadata.pixel_size_um == pytest.approx(0.0521)
     assert metadata.working_distance_um == pytest.approx(6100)
     assert metadata.accelerating_voltage_kv == pytest.approx(10)
     assert np.rad2deg(metadata.tilt_rad) == pytest.approx(-7)
-    unknown, warnings = parse_phenom("<FeiImage><pixelWidth>52</pixelWidth></FeiImage>")
+    unknown, warnings = parse_phenom("<FeiImage><pixelWidth>52</pixelWidth></FeiImage>", 96)
     assert math.isnan(unknown.pixel_size_um)
     assert "no unit" in warnings[0]
 
 
+def test_phenom_jpeg_holds_the_same_in_its_exif(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[34683] = PHENOM_XML
+    metadata = read_micrograph(write_image(tmp_path / "a.jpg", noise(1), exif=exif)).metadata
+    assert metadata.pixel_size_um == pytest.approx(0.0521)
+    assert metadata.data_bar_rows == 24
+    assert metadata.origin["pixel_size_um"] == "tag 34683, FeiImage.pixelWidth"
+
+
 def test_entities_of_xml_are_not_expanded() -> None:
     bomb = '<!DOCTYPE a [<!ENTITY b "bbbb">]><FeiImage><pixelWidth unit="nm">&b;</pixelWidth></FeiImage>'
-    assert parse_phenom(bomb)[0].raw == {}
+    assert parse_phenom(bomb, 96)[0].raw == {}
 
 
 @pytest.mark.parametrize(("unit", "size_um"), [("um", 0.05), ("micron", 0.05), ("\\u00B5m", 0.05), ("nm", 5e-5)])

@@ -10,7 +10,7 @@ from semscape.errors import BadInputError
 from semscape.io.data_bar import find_data_bar
 from semscape.io.micrograph import read_micrograph
 from semscape.io.scale_bar import find_scale_bar
-from semscape.io.series import load_series
+from semscape.io.series import load_image, load_series
 from semscape.options import InputOptions
 
 
@@ -86,6 +86,18 @@ def test_inspect_gives_advice_and_the_flag_sets_the_pixel_size(tmp_path: Path) -
     np.testing.assert_allclose(series.pixel_size_um, 0.1)
     assert series.views[0].metadata.source["pixel_size_um"] == "sidecar"
     np.testing.assert_allclose(load_series(tmp_path, InputOptions(pixel_size_um=0.3)).pixel_size_um, 0.3)
+
+
+def test_a_single_image_is_inspected_like_those_of_a_folder(tmp_path: Path) -> None:
+    path = write_image(tmp_path / "img.png", bar_image("ticked", 200))
+    (advice,) = load_image(path).warnings
+    assert "200 px long" in advice
+    assert "give --scale-bar-um 40" in advice
+    np.testing.assert_allclose(load_image(path, InputOptions(scale_bar_um=40.0)).pixel_size_um, 0.2)
+    told = write_tiff(tmp_path / "b.tif", noise(1), fei=fei_text(Scan={"PixelWidth": 1e-7, "PixelHeight": 1e-7}))
+    series = load_image(told)
+    np.testing.assert_allclose(series.pixel_size_um, 0.1)
+    assert series.warnings == ()  # one header cannot be a copy
 
 
 def test_scale_bars_that_give_no_answer(tmp_path: Path) -> None:

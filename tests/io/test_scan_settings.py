@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from sem_files import fei_text, noise, write_image, write_tiff, zeiss_text
 
+from semscape.geometry.rotations import wrap_axis_angle
 from semscape.io.burnt_in import find_burnt_in_text
 from semscape.io.scan_settings import squeeze_rows
 from semscape.io.series import load_series
@@ -63,26 +64,40 @@ def test_tilt_correction_of_thermo_fisher_is_undone(tmp_path: Path) -> None:
     assert sum("EBeam.TiltCorrectionAngle): undone" in text for text in series.warnings) == 2
 
 
+@pytest.mark.parametrize("told", [{"AP_TILT_AXIS": "T = 90.0 °"}, {"DP_STAGE_TILTED": "Stage Tilt = in X"}])
+def test_a_correction_about_a_vertical_axis_stretches_the_columns(tmp_path: Path, told: dict[str, str]) -> None:
+    lines = {"DP_TILT_CORRECTION": "T = On", "AP_TILT_ANGLE": "T = 30 °", "DP_SCAN_ROT": "S = Off"}
+    zeiss_series(tmp_path, **lines, **told)
+    series = load_series(tmp_path)
+    for view in series.views:
+        assert view.mask.any(axis=0).sum() == pytest.approx(128 * math.cos(math.pi / 6), abs=2)
+        assert view.mask.any(axis=1).all()
+        assert view.image.shape == (96, 128)
+    assert sum("undone, the columns are squeezed" in text for text in series.warnings) == 3
+
+
 def test_the_user_tells_across_which_axis_an_image_is_stretched(tmp_path: Path) -> None:
-    zeiss_series(tmp_path, DP_TILT_CORRECTION="T = On", AP_TILT_ANGLE="T = 30 °", AP_TILT_AXIS="T = 90 °")
+    zeiss_series(tmp_path, DP_TILT_CORRECTION="T = On", AP_TILT_ANGLE="T = 30 °", AP_TILT_AXIS="T = 45 °")
     assert any("tilt_correction_axis_deg = 0" in text for text in load_series(tmp_path).warnings)
     (tmp_path / "series.toml").write_text("tilt_correction_axis_deg = 90\n")
     for view in load_series(tmp_path).views:
         assert view.mask.any(axis=0).sum() == pytest.approx(128 * math.cos(math.pi / 6), abs=2)
-        assert view.mask.any(axis=1).all()
-        assert view.image.shape == (96, 128)
 
 
 def test_the_sign_of_a_stage_that_tilts_in_x_is_not_sure(tmp_path: Path) -> None:
     zeiss_series(tmp_path, AP_TILT_AXIS="Tilt Axis = 90.0 °")
-    assert any("sign of this Zeiss stage's tilt is assumed" in text for text in load_series(tmp_path).warnings)
+    assert any("positive leans structures to the left" in text for text in load_series(tmp_path).warnings)
+    for path in tmp_path.iterdir():
+        path.unlink()
+    zeiss_series(tmp_path, DP_STAGE_TILTED="Stage Tilt = In Y")
+    assert load_series(tmp_path).warnings == ()
 
 
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
         ({"AP_TILT_ANGLE": "T = 30 °"}, "with an unknown scan rotation"),
-        ({"AP_TILT_ANGLE": "T = 30 °", "DP_SCAN_ROT": "S = Off", "AP_TILT_AXIS": "T = 90 °"}, "is not sure"),
+        ({"AP_TILT_ANGLE": "T = 30 °", "DP_SCAN_ROT": "S = Off", "AP_TILT_AXIS": "T = 45 °"}, "is not sure"),
         ({"AP_TILT_ANGLE": "T = ### °", "DP_SCAN_ROT": "S = Off"}, "of an angle that is not told"),
         ({"AP_TILT_ANGLE": "T = 80 °", "DP_SCAN_ROT": "S = Off"}, "by 80 deg"),
         (
@@ -122,6 +137,17 @@ def test_a_scan_turned_by_180_deg_turns_the_sign_of_the_tilts(tmp_path: Path, ro
 def test_a_scan_turned_by_90_deg_leaves_the_sign_open(tmp_path: Path) -> None:
     zeiss_series(tmp_path, DP_SCAN_ROT="S = On", AP_SCANROTATION="S = 90 °")
     assert any("sign of the stage tilts is not sure" in text for text in load_series(tmp_path).warnings)
+
+
+@pytest.mark.parametrize("rotation_deg", [60, 120, 240, 300])
+def test_where_the_axis_is_found_tells_the_sign(tmp_path: Path, rotation_deg: float) -> None:
+    """Counted either way, the turned axis is one of two lines; in (-45, 135] deg one of them has the other sense."""
+    zeiss_series(tmp_path, DP_SCAN_ROT="S = On", AP_SCANROTATION=f"S = {rotation_deg} °")
+    (text,) = [text for text in load_series(tmp_path).warnings if "scan rotation" in text]
+    for counted in (1, -1):
+        axis, flipped = wrap_axis_angle(math.radians(counted * rotation_deg))
+        said = f"if near {math.degrees(axis):.0f} deg, give" if flipped else f"found near {math.degrees(axis):.0f} deg"
+        assert said in text
 
 
 def test_a_scan_rotation_that_is_off_changes_nothing(tmp_path: Path) -> None:

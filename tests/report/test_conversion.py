@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,9 +79,19 @@ def test_one_format_into_a_file(runs: dict[str, Path], tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         read_height_map(path).height_um, read_height_map(runs["um"] / "height_map.npz").height_um
     )
+    with np.load(path) as arrays:
+        np.testing.assert_array_equal(arrays["height_um"], read_height_map(path).height_um)
     # A height map that lies alone is enough.
     assert convert(path, ["stl"], tmp_path / "solid.stl") == (tmp_path / "solid.stl",)
     assert {p.name for p in convert(path, ["obj"], tmp_path / "m.obj")} == {"m.obj", "m.mtl", "m.png"}
+
+
+def test_without_an_output_files_go_into_the_run(runs: dict[str, Path], tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(runs["um"], tmp_path / "grain"))
+    done = run("convert", folder, "--to", "x3p")
+    assert (done.exit_code, done.output.strip()) == (0, str(folder / "converted" / "grain.x3p"))
+    assert convert(folder / "height_map.npz", ["off"])[0].parent == folder / "converted"
+    assert run("measure", folder, "--json").exit_code == 0  # it is still a run
 
 
 def test_px_is_said_or_refused(runs: dict[str, Path], tmp_path: Path) -> None:

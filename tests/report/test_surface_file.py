@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from semscape.report.surface_file import Camera, decode_surface, encode_surface, surface_of_result
-from semscape.types import HeightMap
+from semscape.types import HeightMap, Reason
 from synthetic_result import make_result
 
 RESULT = make_result()
@@ -88,6 +88,15 @@ def test_cameras_and_unknown_numbers_are_plain_json() -> None:
     assert header["cameras"][0]["tilt_sigma_deg"] is None
     assert header["cameras"][0]["rotation"] == [1, 0, 0, 0, 1, 0, 0, 0, 1]
     assert header["height_scale_relative_sigma"] is None
+
+
+def test_why_heights_are_unknown_comes_along() -> None:
+    reason = np.where(np.isfinite(MAP.height_um), Reason.KNOWN, Reason.OCCLUDED).astype(np.uint8)
+    reason[0, -1] = Reason.NO_TEXTURE
+    content = encode_surface(replace(MAP, reason=reason))
+    assert np.array_equal(decode_surface(content).reason, reason)
+    assert header_of(content)["reasons"] == {"3": "occluded", "5": "no texture"}
+    assert "reason" not in header_of(encode_surface(replace(MAP, reason=np.empty((0, 0), np.uint8))))["planes"]
 
 
 def test_other_bytes_are_refused() -> None:

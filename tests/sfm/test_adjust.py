@@ -131,7 +131,17 @@ def test_noise_is_estimated_from_residuals_of_any_track_length() -> None:
     residual = rng.normal(0, 0.5, (len(point), 2)) * np.sqrt((2 * length - 3) / (2 * length))[point][:, None]
     view = np.concatenate([np.arange(n) for n in length])
     observations = type(make_tracks().observations)(view, point, np.zeros((len(point), 2)))
-    assert noise_sigma_px(residual, observations) == pytest.approx(0.5, rel=0.03)
+    weights = np.ones(len(point))
+    assert noise_sigma_px(residual, observations, weights) == pytest.approx(0.5, rel=0.03)
+
+
+def test_outliers_in_most_tracks_are_no_noise() -> None:
+    """Of tracks of ten views two in three hold one of 10 % of wrong observations."""
+    tilts = tuple(np.linspace(-13.5, 13.5, 10).tolist())
+    tracks = make_tracks(tilts, stage_deg=tilts, n_points=300, seen=1.0, wrong=0.1)
+    prior = motion_prior(tracks.series, SfmOptions())
+    found = adjust(true_parameters(tracks), tracks.observations, prior, max_iterations=50)
+    assert found.sigma_px == pytest.approx(0.3, rel=0.1)
 
 
 def test_smooth_errors_count_as_overdispersion() -> None:

@@ -9,8 +9,9 @@ import pytest
 
 from semscape.experiments.simulated_tracks import SimulatedTracks, TrackRecipe, simulate_tracks
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import adjust, with_translations
+from semscape.sfm.adjust import Problem, adjust, with_translations
 from semscape.sfm.calibrate import Calibration, calibrate
+from semscape.sfm.models import TiltSeriesModel, by_anisotropy_sigma
 from semscape.sfm.priors import motion_prior
 
 TILTS = (-6.0, -3.0, 0.0, 3.0, 6.0)
@@ -71,16 +72,43 @@ def test_the_priors_stand_beside_the_posterior(staged: tuple[SimulatedTracks, Ca
     assert (found.tilt_sigma_rad < found.prior_sigma[1::4]).all()
 
 
-def test_the_anisotropy_is_learnt() -> None:
-    """Seven views tell a steady scan from a stretching one; what is told counts as four views more."""
-    tilts = (-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0)
-    told = SfmOptions().prior_anisotropy
-    learnt = [
-        float(solved(TrackRecipe(tilts, 0.1, n_points=500, anisotropy_sigma=true), 2)[1].reconstruction.prior_sigma[4])
-        for true in (0.0, 3 * told)
-    ]
-    assert 0.5 * told < learnt[0] < 0.9 * told
-    assert 1.3 * told < learnt[1] < 4 * told
+TOLD = SfmOptions().prior_anisotropy
+
+
+@pytest.mark.parametrize(
+    ("tilts", "true", "least", "most"),
+    [
+        ((-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0), 0.0, 0.0, 0.3),
+        ((-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0), 3 * TOLD, 1.5, 6.0),
+        ((-6.0, 0.0, 6.0), 0.0, 0.8, 1.2),  # three views tell nothing: what is told stands
+    ],
+)
+def test_the_anisotropy_is_learnt_where_the_images_tell_it(
+    tilts: tuple[float, ...], true: float, least: float, most: float
+) -> None:
+    found = solved(TrackRecipe(tilts, n_points=500, anisotropy_sigma=true), 2)[1].reconstruction
+    assert least * TOLD < found.prior_sigma[4] < most * TOLD
+
+
+def test_another_anisotropy_is_where_an_adjustment_with_it_ends() -> None:
+    tracks = simulate_tracks(TrackRecipe(TILTS, 0.1, n_points=500, anisotropy_sigma=TOLD), rng=np.random.default_rng(4))
+    prior = motion_prior(tracks.series, SfmOptions())
+    searched = prior.centre_and_sigma()[0]
+    searched[0] = np.pi / 2
+    start = with_translations(searched, tracks.observations, len(TILTS))
+    found, other = (
+        adjust(start, tracks.observations, replace(prior, anisotropy_sigma=sigma), max_iterations=50)
+        for sigma in (TOLD, 0.5 * TOLD)
+    )
+    hessian = Problem(tracks.observations, TiltSeriesModel(prior)).normal_equations(
+        found.parameters, found.weights / found.sigma_px**2
+    )
+    shift, covariance, _ = by_anisotropy_sigma(hessian.hessian, found.parameters[4::6], TOLD, np.array([0.5 * TOLD]))
+    moved = (other.parameters - found.parameters)[1::6]
+    assert np.abs(moved).max() > 1e-4
+    np.testing.assert_allclose(shift[0, 1::6], moved, atol=0.1 * np.abs(moved).max())
+    sigma = np.sqrt(np.diag(covariance[0]))
+    np.testing.assert_allclose(sigma[1::6], np.sqrt(np.diag(other.covariance))[1::6], rtol=0.03)
 
 
 def test_the_noise_free_anisotropy_prior_is_the_option() -> None:

@@ -187,10 +187,26 @@ def test_a_common_offset_of_the_stage_stays_a_common_tilt() -> None:
     assert np.rad2deg(found.motion.tilt_rad.mean()) == pytest.approx(10, abs=0.1)
 
 
-def test_a_mistyped_tilt_is_named() -> None:
-    wrong = (-8.0, -4.0, 0.0, 14.0, 8.0)
-    found = solve(make_tracks(TILTS, stage_deg=wrong, seen=1.0)).reconstruction
-    assert any(w.startswith("view_3.tif: the stage says 14.00 deg") for w in found.contradictions), found.contradictions
+@pytest.mark.parametrize(
+    ("told", "wrong"),
+    [
+        ((-8.0, -4.0, 0.0, 14.0, 8.0), {3}),  # mistyped, by far
+        ((-8.0, -4.0, 0.0, 4.7, 8.0), {3}),  # and by a little
+        ((-8.0, -4.0, 0.0, 4.0, -7.9), {4}),  # wrong sign
+        ((-8.0, 4.0, 0.0, -4.0, 8.0), {1, 3}),  # swapped files
+        ((-7.9, -4.1, 0.1, 4.1, 8.0), set()),
+    ],
+)
+def test_a_wrong_tilt_is_named(told: tuple[float, ...], wrong: set[int]) -> None:
+    found = solve(make_tracks(TILTS, stage_deg=told, seen=1.0)).reconstruction
+    assert {view for view in range(5) if any(_names(view, text) for text in found.contradictions)} == wrong
+    assert bool(found.contradictions) == bool(wrong)
+
+
+def _names(view: int, text: str) -> bool:
+    return text.startswith(f"view_{view}.tif: the stage says") and text.endswith(
+        "mistyped tilt, wrong sign or swapped files?"
+    )
 
 
 def test_without_a_pixel_size_lengths_are_px() -> None:
@@ -245,7 +261,7 @@ def test_two_views_of_which_one_has_a_tilt_are_refused() -> None:
 
 @pytest.mark.parametrize("relief", [0.0, 0.01])
 def test_a_flat_specimen_without_tilts_has_no_answer(relief: float) -> None:
-    with pytest.raises(DegenerateGeometryError, match=r"no parallax.* px rms.*--tilts"):
+    with pytest.raises(DegenerateGeometryError, match=r"no parallax.* px rms.*self-calibration is impossible.*--tilts"):
         solve(make_tracks(TILTS, relief=relief, noise_px=0.1))
 
 

@@ -29,7 +29,7 @@ def test_auto_takes_the_perspective_camera_where_the_images_show_it(near: Recons
     assert near.camera == "perspective"
     assert near.camera_margin > 10
     assert abs(near.inverse_distance_per_um - 1 / 2000) < 3 * near.inverse_distance_sigma_per_um
-    assert any("the images show perspective" in warning for warning in near.warnings)
+    assert any("the perspective camera is taken, for the images show it" in warning for warning in near.warnings)
 
 
 def test_auto_stays_parallel_where_it_is(near: Reconstruction) -> None:

@@ -60,7 +60,10 @@ def measure(
 def convert(
     run: Annotated[Path, typer.Argument(help="Run folder of semscape reconstruct.", metavar="RUN")],
     to: Annotated[str, typer.Option("--to", metavar="LIST", help="Formats, like x3p,stl; see docs/files.md.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="PATH", help="Folder, or a file for one format.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="PATH", help="Folder, or a file for one format; else RUN/converted."),
+    ] = None,
     unit: Annotated[str | None, typer.Option(metavar="UNIT", help="Unit of meshes: um, mm or nm.")] = None,
     color: Annotated[str | None, typer.Option(metavar="MAP", help="micrograph, or by height: viridis, ...")] = None,
     max_vertices: Annotated[int | None, typer.Option(metavar="N", help="Largest number of a mesh's vertices.")] = None,

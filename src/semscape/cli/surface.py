@@ -41,9 +41,16 @@ def reconstruct(
     options_file: OptionsOption = None,
     seed: SeedOption = None,
     workers: WorkersOption = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="MODEL", help="Camera: orthographic, perspective, or auto, which fits both and chooses."),
+    ] = None,
     invert_relief: Annotated[
         bool | None,
         typer.Option("--invert-relief/--keep-relief", help="Mirror a relief whose sign nothing but shading fixed."),
+    ] = None,
+    keep: Annotated[
+        str | None, typer.Option(help="all, or specimen: leave out the background stub.", metavar="WHAT")
     ] = None,
     quiet: QuietOption = False,
     log_json: LogJsonOption = False,
@@ -52,7 +59,7 @@ def reconstruct(
     """Reconstruct the surface from a folder of tilted images and write a run folder."""
     with exit_codes(debug=debug, quiet=quiet, log_json=log_json):
         options = effective_options(
-            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um
+            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep, camera
         )
         run_into(folder, output, options, workers=workers, quiet=quiet, lines=not (quiet or log_json))
 
@@ -68,16 +75,19 @@ def inspect(
     write: Annotated[bool, typer.Option("--write", help="Write series.toml into FOLDER, for you to edit.")] = False,
     debug: DebugOption = False,
 ) -> None:
-    """Show what is understood of a folder of images: vendor, pixel size, tilt, data bar, each with its source."""
+    """Show what is understood of a folder of images, or of one: vendor, pixel size, tilt, each with its source."""
     with exit_codes(debug=debug, quiet=False):
+        from semscape.errors import BadInputError
         from semscape.io.inspect import describe_series
         from semscape.io.run_folder import json_text
-        from semscape.io.series import load_series
+        from semscape.io.series import load_image, load_series
         from semscape.io.series_template import write_series_toml
         from semscape.report.console import print_inspection
 
         options = effective_options(None, None, tilts, pixel_size_um, axis_deg, None, None, scale_bar_um)
-        series = load_series(folder, options.input)
+        if write and folder.is_file():
+            raise BadInputError(f"{folder}: a series.toml belongs to a folder of images; give the folder")
+        series = load_image(folder, options.input) if folder.is_file() else load_series(folder, options.input)
         views = describe_series(series)
         if as_json:
             typer.echo(json_text({"views": views, "warnings": series.warnings}), nl=False)

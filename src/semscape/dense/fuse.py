@@ -10,6 +10,7 @@ from semscape.types import FloatArray
 _STRETCH_LIMIT_PX = 3.0
 _DISPARITY_NOISE_PX = 0.5
 _AGREEMENT_IN_SIGMAS = 3.0
+_BLOCK_ROWS = 64
 
 
 @njit(cache=True, nogil=True)
@@ -62,7 +63,15 @@ def fuse(heights_px: list[FloatArray], baselines: list[float]) -> tuple[FloatArr
     support : (H, W) float array
         Number of maps that agree.
     """
-    stack = np.stack(heights_px).astype(np.float64)
+    fused, support = np.empty(heights_px[0].shape), np.empty(heights_px[0].shape)
+    for first in range(0, len(fused), _BLOCK_ROWS):
+        rows = slice(first, first + _BLOCK_ROWS)
+        fused[rows], support[rows] = _fuse_rows(np.stack([height[rows] for height in heights_px]), baselines)
+    return fused, support
+
+
+def _fuse_rows(stack: FloatArray, baselines: list[float]) -> tuple[FloatArray, FloatArray]:
+    """Fuse some rows: many arrays of the stack's size are needed, which for whole maps would be the most memory."""
     precision = np.abs(np.array(baselines)) / _DISPARITY_NOISE_PX
     known = np.isfinite(stack)
     weight = np.where(known, (precision**2)[:, None, None], 0.0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,6 +52,18 @@ def height_map_mesh(
         np.repeat(grey[:, None], 3, axis=1),
         height_map.length_unit,
     )
+
+
+def with_picture(mesh: SurfaceMesh, height_map: HeightMap, longest_px: int) -> SurfaceMesh:
+    """Lay the micrograph, at most `longest_px` long, on a mesh of a height map."""
+    grey = grey_levels(height_map.texture)
+    rows, columns = grey.shape
+    shrink = longest_px / max(rows, columns)
+    if shrink < 1:
+        grey = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    world = np.column_stack([mesh.vertices_um, np.ones(len(mesh.vertices_um))])
+    col, row = (world @ np.linalg.inv(height_map.world_from_grid).T)[:, :2].T
+    return replace(mesh, picture=grey, uv=np.column_stack([(col + 0.5) / columns, 1 - (row + 0.5) / rows]))
 
 
 def grid_stride(height_map: HeightMap, max_vertices: int) -> int:

@@ -87,6 +87,7 @@ def refine_heights(
     current = start
     for scale, sharp_px in zip(_WINDOW_SCALES, _SHARP_PX, strict=True):
         sigma_px, normalizing_px = scale * options.refine_sigma_px, scale * _NORMALIZING_SIGMA_PX
+        samplers: list[ViewSampler] = []  # those of the window before go first, for they are the most memory
         samplers = [
             ViewSampler(view, view_from_grid[i], px_per_height[i], direction, height.shape, scale * _PRESMOOTH_PX)
             for i, view in enumerate(views)

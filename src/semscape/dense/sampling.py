@@ -54,7 +54,7 @@ class ViewSampler:
 def grid_in_view(view_from_grid: FloatArray, shape: tuple[int, int]) -> tuple[ImageArray, ImageArray]:
     """Return where the pixels of a grid of height zero lie in a view, x and y (H, W) px, by its (2, 3) map."""
     rows, cols = np.indices(shape, dtype=np.float32)
-    x, y = ((row[0] * cols + row[1] * rows + row[2]).astype(np.float32) for row in view_from_grid)
+    x, y = (row[0] * cols + row[1] * rows + row[2] for row in view_from_grid.astype(np.float32))
     return x, y
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from semscape.dense.evidence import refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
+from semscape.dense.parallel import as_parallel
 from semscape.dense.rectify import Frame, grid_pixel_size_um, rectified_frame, warp_to_frame
 from semscape.dense.refine import RefinedHeights, refine_heights, without_islands
 from semscape.dense.sampling import ViewSampler, common_parallax, grid_in_view
@@ -60,6 +61,7 @@ def dense_surface(
     DegenerateGeometryError
         When no two views differ enough in tilt.
     """
+    series = as_parallel(series, reconstruction)
     frame = rectified_frame(series, reconstruction)
     pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
     if not pairs:
@@ -72,6 +74,7 @@ def dense_surface(
     height_range = height_range_px(reconstruction, frame)
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
+    del views, heights  # the refinement needs the memory
     return DenseSurface(_refined_map(series, reconstruction, frame, fused, options), tuple(pairs))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from trimesh.remesh import subdivide_to_size
 
-from semscape.evaluate.triangle_tree import TriangleTree, closest_on_triangles, make_tree
+from semscape.geometry.triangle_tree import TriangleTree, closest_on_triangles, make_tree
 from semscape.types import BoolArray, FloatArray, IntArray
 
 _CELLS = 100_000

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from semscape.types import FloatArray, Keypoints
 
@@ -30,6 +33,20 @@ class Found(NamedTuple):
             descriptors=every.descriptors[rows],
         )
         return Found(keypoints, self.reach_px[rows])
+
+
+def joined(parts: Sequence[Found]) -> Found:
+    """Return the keypoints of all parts, one after the other."""
+    every = [part.keypoints for part in parts]
+    keypoints = replace(
+        every[0],
+        xy=np.concatenate([part.xy for part in every]),
+        scale_px=np.concatenate([part.scale_px for part in every]),
+        orientation_rad=np.concatenate([part.orientation_rad for part in every]),
+        response=np.concatenate([part.response for part in every]),
+        descriptors=np.concatenate([part.descriptors for part in every]),
+    )
+    return Found(keypoints, np.concatenate([part.reach_px for part in parts]))
 
 
 def least_blob_height(contrast_threshold: float) -> float:

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from semscape.errors import BadInputError
-from semscape.io.run_folder import refuse_newer_format
+from semscape.io.run_folder import read_motion, refuse_newer_format
 from semscape.io.surfaces import read_height_map
 from semscape.options import InputOptions, read_toml
-from semscape.types import FloatArray, HeightMap, Motion
+from semscape.types import HeightMap, Motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,27 +79,14 @@ def read_finished_views(folder: Path | str) -> FinishedViews:
         If this is no complete run folder.
     """
     path = Path(folder)
-    reconstruction, report = _read_json(path / "reconstruction.json"), _read_json(path / "report.json")
+    motion, reference, names = read_motion(path)
     try:
-        views, unit = reconstruction["views"], reconstruction["length_unit"]
-
-        def column(key: str) -> FloatArray:
-            return np.array([view[key] for view in views], dtype=np.float64)
-
-        names = tuple(view["name"] for view in views)
-        digests = {image["name"]: image["digest"] for image in report["inputs"]}
+        digests = {image["name"]: image["digest"] for image in _read_json(path / "report.json")["inputs"]}
         return FinishedViews(
             names=names,
             digests=tuple(digests[name] for name in names),
-            motion=Motion(
-                axis_angle_rad=math.radians(reconstruction["axis_deg"]),
-                tilt_rad=np.deg2rad(column("tilt_deg")),
-                roll_rad=np.deg2rad(column("roll_deg")),
-                scale_px_per_um=column(f"scale_px_per_{unit}"),
-                anisotropy=column("anisotropy"),
-                translation_px=column("t_px"),
-            ),
-            reference=names.index(reconstruction["reference_view"]),
+            motion=motion,
+            reference=reference,
             told=read_toml((path / "options.toml").read_text(encoding="utf-8")).input,
         )
     except (OSError, KeyError, TypeError, ValueError) as error:

@@ -129,7 +129,7 @@ def _vendor_raw(metadata: SemMetadata) -> dict[str, str]:
 
 def _warn_of_copied_header(metadata: Sequence[SemMetadata], warnings: list[str]) -> None:
     blocks = [_vendor_raw(view) for view in metadata]
-    if not blocks[0] or any(block != blocks[0] for block in blocks[1:]):
+    if len(blocks) < 2 or not blocks[0] or any(block != blocks[0] for block in blocks[1:]):
         return
     software = metadata[0].raw.get(FILE_KEY_PREFIX + "software", "")
     by = f" (written by {software})" if software else ""

@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 
 from semscape.io.metadata_fields import MetadataFields
-from semscape.io.quantities import KV_PER_VOLTAGE, PLAIN, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH, repair_units
+from semscape.io.quantities import PLAIN, UM_PER_LENGTH, repair_units
 from semscape.types import SemMetadata
 
 _PHOTOGRAPH_UM = 128e3
@@ -56,10 +56,10 @@ def parse_jeol(text: str, image_shape: tuple[int, int], place: str = "sidecar") 
     fields = MetadataFields("JEOL", raw, place, values)
     height, width = image_shape
     _take_pixel_size(fields, width)
-    fields.take("working_distance_um", "$$SM_WD", UM_PER_LENGTH, "mm")
-    fields.take("accelerating_voltage_kv", "$CM_ACCEL_VOLT", KV_PER_VOLTAGE, "kv")
-    fields.take("magnification", "$CM_MAG", TIMES)
-    fields.take("scan_rotation_rad", "$$SM_SCAN_ROTATION", RAD_PER_ANGLE, "deg")
+    fields.take("working_distance_um", "$$SM_WD", "mm")
+    fields.take("accelerating_voltage_kv", "$CM_ACCEL_VOLT", "kv")
+    fields.take("magnification", "$CM_MAG")
+    fields.take("scan_rotation_rad", "$$SM_SCAN_ROTATION", "deg")
     _take_stage(fields)
     rows, key = fields.read("$$SM_PNU_HEIGHT", PLAIN)
     stored_height = _size(fields)[1]
@@ -74,15 +74,13 @@ def _take_pixel_size(fields: MetadataFields, width: int) -> None:
     bar_px, _ = fields.read("$$SM_MICRON_BAR", PLAIN)
     marker_um, _ = fields.read("$$SM_MICRON_MARKER", UM_PER_LENGTH)
     field_um = _first_length(fields, "$CM_FIELD_OF_VIEW")
-    magnification, _ = fields.read("$CM_MAG", TIMES)
     columns = stored_width or width
     if bar_px > 0 and marker_um > 0:
         fields.set("pixel_size_um", marker_um / bar_px, "$$SM_MICRON_MARKER / $$SM_MICRON_BAR")
     elif field_um > 0:
         fields.set("pixel_size_um", field_um / columns, "$CM_FIELD_OF_VIEW / width")
-    elif magnification > 0:
-        fields.set("pixel_size_um", _PHOTOGRAPH_UM / magnification / columns, "128 mm / $CM_MAG / width")
-        fields.warn("the pixel size follows from the magnification on a photograph 128 mm wide; check the scale bar")
+    else:
+        fields.take_pixel_size_of_photograph("$CM_MAG", _PHOTOGRAPH_UM, columns)
 
 
 def _first_length(fields: MetadataFields, key: str) -> float:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from semscape.io.quantities import RAD_PER_ANGLE, parse_quantity
+from semscape.io.quantities import KV_PER_VOLTAGE, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH, parse_quantity
 from semscape.types import FieldSource, SemMetadata
 
 # Keys of `SemMetadata.raw` for what semscape notes of the image file; all others are the vendor's.
@@ -16,6 +16,14 @@ STAGE_TILT_KEY = FILE_KEY_PREFIX + "stage_tilt_deg"
 # rotation about +x in semscape's convention.
 TILT_SIGN = -1.0
 
+_UNITS: dict[str, Mapping[str, float]] = {
+    "pixel_size_um": UM_PER_LENGTH,
+    "working_distance_um": UM_PER_LENGTH,
+    "accelerating_voltage_kv": KV_PER_VOLTAGE,
+    "magnification": TIMES,
+    "stage_rotation_rad": RAD_PER_ANGLE,
+    "scan_rotation_rad": RAD_PER_ANGLE,
+}
 _MAX_PIXEL_SIZE_UM = 1000.0
 _POSITIVE = ("pixel_size_um", "working_distance_um", "accelerating_voltage_kv", "magnification")
 _MAX_BAR_SHARE = 0.4
@@ -76,25 +84,25 @@ class MetadataFields:
                 )
         return math.nan, ""
 
-    def take(self, name: str, keys: str | Iterable[str], units: Mapping[str, float], bare: str = "") -> None:
-        """Set a field from the first of some tags that holds a number with one of `units`."""
-        value, key = self.read(keys, units, bare)
+    def take(self, name: str, keys: str | Iterable[str], bare: str = "") -> None:
+        """Set a field from the first of some tags that holds a number with a unit of the field's kind."""
+        value, key = self.read(keys, _UNITS[name], bare)
         self.set(name, value, key)
 
-    def take_stage_tilt(self, keys: str | Iterable[str], bare: str, *, sign_is_known: bool) -> None:
+    def take_stage_tilt(self, keys: str | Iterable[str], bare: str, *, sign_is_known: bool, leans: str = "up") -> None:
         """Set the tilt from the stage's reading, turned into semscape's sign."""
-        self.set_stage_tilt(*self.read(keys, RAD_PER_ANGLE, bare), sign_is_known=sign_is_known)
+        self.set_stage_tilt(*self.read(keys, RAD_PER_ANGLE, bare), sign_is_known=sign_is_known, leans=leans)
 
-    def set_stage_tilt(self, value: float, key: str, *, sign_is_known: bool) -> None:
-        """Set the tilt from the stage's reading in rad."""
+    def set_stage_tilt(self, value: float, key: str, *, sign_is_known: bool, leans: str = "up") -> None:
+        """Set the tilt from the stage's reading in rad; a positive one is taken to lean structures that way."""
         if math.isnan(value):
             return
         self.set("tilt_rad", TILT_SIGN * value, key)
         self.raw[STAGE_TILT_KEY] = f"{math.degrees(value) + 0.0:.9g}"
         if not sign_is_known and value != 0:
             self.warn(
-                f"the sign of this {self.vendor} stage's tilt is assumed (positive leans structures up in the image); "
-                "if hills come out as pits, give the tilts with the other sign"
+                f"the sign of this {self.vendor} stage's tilt is assumed (positive leans structures {leans} in the "
+                "image); if hills come out as pits, give the tilts with the other sign"
             )
 
     def take_square_pixel(self, width_um: float, height_um: float, key: str) -> None:
@@ -102,6 +110,16 @@ class MetadataFields:
         self.set("pixel_size_um", width_um, key)
         if abs(height_um - width_um) > _ANISOTROPY_LIMIT * abs(width_um):
             self.warn(f"pixels are {width_um:.6g} um wide but {height_um:.6g} um high; the width is used")
+
+    def take_pixel_size_of_photograph(self, key: str, photograph_um: float, columns: int) -> None:
+        """Set the pixel size from the magnification, which counts on a photograph of that width, with a warning."""
+        magnification, found = self.read(key, TIMES)
+        if magnification > 0:
+            width = f"{photograph_um / 1000:g} mm"
+            self.set("pixel_size_um", photograph_um / magnification / columns, f"{width} / {found} / width")
+            self.warn(
+                f"the pixel size follows from the magnification on a photograph {width} wide; check the scale bar"
+            )
 
     def set(self, name: str, value: float, key: str) -> None:
         """Set a field that is known, with the tag it came from; NaN leaves it unknown, an absurd value as well."""

@@ -1,7 +1,8 @@
 """Phenom metadata: XML with the root `FeiImage`, in TIFF tag 34683 or 34680.
 
-Values carry their unit in an attribute: `<pixelWidth unit="nm">`. Most Phenoms have no tilting stage; one that
-has (`multiStage`) names its axes. The high voltage may be written as negative, as it is.
+Values carry their unit in an attribute: `<pixelWidth unit="nm">`. `databarHeight` is the height of the data bar, 0
+without one. Most Phenoms have no tilting stage; one that has (`multiStage`) names its axes. The high voltage may be
+written as negative, as it is.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 
 from semscape.io.metadata_fields import MetadataFields
-from semscape.io.quantities import KV_PER_VOLTAGE, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH
+from semscape.io.quantities import KV_PER_VOLTAGE, PLAIN, RAD_PER_ANGLE, UM_PER_LENGTH
 from semscape.io.vendor_text import xml_values
 from semscape.types import SemMetadata
 
@@ -23,20 +24,22 @@ def is_phenom(text: str) -> bool:
     return "<FeiImage" in text
 
 
-def parse_phenom(text: str, place: str = "tag 34683") -> tuple[SemMetadata, tuple[str, ...]]:
+def parse_phenom(text: str, image_height: int, place: str = "tag 34683") -> tuple[SemMetadata, tuple[str, ...]]:
     """Return what a Phenom's XML says, and a warning for each value that cannot be read.
 
     Parameters
     ----------
     text : str
         Content of the tag.
+    image_height : int
+        Height of the stored image in px, data bar included.
     place : str
         Where the text stands, for the fields' origin.
 
     Examples
     --------
     >>> text = '<FeiImage><pixelWidth unit="nm">52.1</pixelWidth></FeiImage>'
-    >>> round(parse_phenom(text)[0].pixel_size_um, 6)
+    >>> round(parse_phenom(text, 1024)[0].pixel_size_um, 6)
     0.0521
     """
     fields = MetadataFields("Phenom", xml_values(text), place)
@@ -46,7 +49,7 @@ def parse_phenom(text: str, place: str = "tag 34683") -> tuple[SemMetadata, tupl
     for key in (_SCAN + "highVoltage", _ROOT + "highVoltage"):
         voltage, found = fields.read(key, KV_PER_VOLTAGE, fields.text(key + "@unit").lower() or "v")
         fields.set("accelerating_voltage_kv", abs(voltage), found)
-    fields.take("magnification", (_ROOT + "magnification", _SCAN + "magnification"), TIMES)
+    fields.take("magnification", (_ROOT + "magnification", _SCAN + "magnification"))
     for key in (_SCAN + "scanRotation", _SCAN + "rotation"):
         rotation, found = fields.read(key, RAD_PER_ANGLE, fields.text(key + "@unit").lower() or "deg")
         fields.set("scan_rotation_rad", rotation, found)
@@ -56,8 +59,11 @@ def parse_phenom(text: str, place: str = "tag 34683") -> tuple[SemMetadata, tupl
             case "tilt" | "t":
                 fields.take_stage_tilt(axis, unit, sign_is_known=False)
             case "rotation" | "r":
-                fields.take("stage_rotation_rad", axis, RAD_PER_ANGLE, unit)
-    return fields.metadata(model=fields.text(_ROOT + "instrument.type")), tuple(fields.warnings)
+                fields.take("stage_rotation_rad", axis, unit)
+    rows, key = fields.read(_ROOT + "databarHeight", PLAIN)
+    fields.set_data_bar_rows(rows, image_height, key)
+    models = (fields.text(_ROOT + "instrument." + key) for key in ("edition", "type"))
+    return fields.metadata(model=next(filter(None, models), "")), tuple(fields.warnings)
 
 
 def _length(fields: MetadataFields, *keys: str) -> tuple[float, str]:

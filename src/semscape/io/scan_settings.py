@@ -4,10 +4,12 @@ Tilt correction stretches the image across its axis by 1 / cos of its angle, so 
 looks as if seen from above. semscape wants the projection as it is; the image is squeezed back by the cosine, where
 angle and axis are told.
 
-Scan rotation turns the image, and the stage's tilt axis with it. Header tilts are converted for an axis along +x,
-as at scan rotation 0. Turned by 180 deg the same axis points along -x, so every tilt changes its sign: that is sure,
-and done. Microscopes differ in the direction in which they count, so at other angles the axis has two places; it
-is left to the images, which tell it within a fraction of a degree.
+Scan rotation turns the image, and the stage's tilt axis with it. Header tilts are converted for the axis' direction
+at scan rotation 0. Turned by 180 deg the same axis points the other way, so every tilt changes its sign: that is sure,
+and done. Microscopes differ in the direction in which they count, so at other angles the axis has two places. Neither
+is told to the calibration: the images tell the axis within a fraction of a degree, better than a header, which knows
+neither the direction of counting nor on every microscope the axis at rotation 0. From 45 to 135 deg the two places
+are axes with opposite signs, and where the images put it tells which sign is right.
 """
 
 from __future__ import annotations
@@ -18,10 +20,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from semscape.geometry.rotations import wrap_axis_angle
 from semscape.types import BoolArray, ImageArray, Micrograph, SemMetadata
 
 _STRAIGHT_DEG = 0.5  # a scan rotation this close to 0 or 180 deg turns nothing
 _LARGEST_CORRECTION_DEG = 75.0
+_TOLD_APART_DEG = 10.0  # the images tell two axes apart that are so far from each other
 
 
 def undo_scan_settings(views: Sequence[Micrograph]) -> tuple[list[Micrograph], list[str]]:
@@ -130,17 +134,28 @@ def _warn_of_rotation(turned: Sequence[Micrograph], before: Sequence[Micrograph]
     oblique = [view for view in turned if abs(math.remainder(_rotation_deg(view), 180.0)) > _STRAIGHT_DEG]
     if not oblique:
         return
-    angle = abs(math.remainder(_rotation_deg(oblique[0]), 180.0))
+    rotation_deg = _rotation_deg(oblique[0])
+    angle = abs(math.remainder(rotation_deg, 180.0))
     text = (
-        f"the scan rotation of {_rotation_deg(oblique[0]):g} deg "
-        f"({oblique[0].metadata.origin.get('scan_rotation_rad', 'series.toml')}) turns a tilt axis that was "
-        f"horizontal to {angle:g} or {-angle:g} deg: microscopes count in either direction, so it is estimated from "
-        "the images"
+        f"the scan rotation of {rotation_deg:g} deg "
+        f"({oblique[0].metadata.origin.get('scan_rotation_rad', 'series.toml')}) turns the tilt axis in the image by "
+        f"{angle:g} or {-angle:g} deg: microscopes count in either direction, so it is estimated from the images"
     )
     if angle > 45 and any(view.metadata.source.get("tilt_rad") == "file" for view in oblique):
-        text += "; the sign of the stage tilts is not sure either: if hills come out as pits, give --tilts with the "
-        text += "other sign"
+        text += f"; the sign of the stage tilts is not sure either: {_how_to_tell_the_sign(rotation_deg)}"
     warnings.append(text)
+
+
+def _how_to_tell_the_sign(rotation_deg: float) -> str:
+    """Say where the axis lies in the image if the tilts' sign is right, and where if it is not."""
+    places = [wrap_axis_angle(math.radians(counted * rotation_deg)) for counted in (1, -1)]
+    if abs(places[0][0] - places[1][0]) < math.radians(_TOLD_APART_DEG):
+        return "if hills come out as pits, give --tilts with the other sign"
+    right, wrong = (f"{math.degrees(axis):.0f} deg" for axis, _ in sorted(places, key=lambda place: place[1]))
+    return (
+        f"where the axis was horizontal before, it is right if the axis is found near {right}, and if near {wrong}, "
+        "give --tilts with the other sign"
+    )
 
 
 def _rotation_deg(view: Micrograph) -> float:

@@ -90,6 +90,26 @@ def load_series(folder: str | Path, options: InputOptions = _DEFAULT_OPTIONS) ->
     return TiltSeries(views=tuple(views), warnings=warnings)
 
 
+def load_image(path: str | Path, options: InputOptions = _DEFAULT_OPTIONS) -> TiltSeries:
+    """Load one image as `load_series` loads each of a folder: a series of one view, to be inspected alone.
+
+    A `series.toml` beside it is not read, for it speaks of a whole folder. Of `options` the scale bar's length and
+    the pixel size count.
+
+    Raises
+    ------
+    BadInputError
+        For a file that cannot be read, or an image without a scale bar where its length is given.
+    """
+    path = Path(path)
+    view, notes = read_micrograph_and_warnings(path)
+    given = GivenAcquisition(pixel_size_um=options.pixel_size_um, scale_bar_um=options.scale_bar_um)
+    metadata, metadata_warnings = settle_metadata([path.name], [view.metadata], given)
+    views, scale_warnings = scale_by_bar(path.parent, [replace(view, metadata=metadata[0])], given)
+    views, scan_warnings = undo_scan_settings(views)
+    return TiltSeries(tuple(views), (*_merge_notes(notes), *metadata_warnings, *scale_warnings, *scan_warnings))
+
+
 def natural_key(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:
     """Return a sort key under which img2 comes before img10.
 

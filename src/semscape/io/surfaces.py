@@ -109,6 +109,8 @@ def encode_mesh_glb(mesh: SurfaceMesh, unit: MeshUnit | None = None) -> bytes:
 
     def describe(tree: dict[str, Any]) -> None:
         tree["asset"]["extras"] = {"length_unit": length_unit, "up_axis": "z", "made_by": "semscape"}
+        if mesh.uv is not None:
+            return
         # Without a material glTF means polished metal, which most viewers show as black.
         tree["materials"] = [
             {"name": "micrograph", "doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0}},
@@ -123,15 +125,35 @@ def encode_mesh_glb(mesh: SurfaceMesh, unit: MeshUnit | None = None) -> bytes:
     surface = trimesh.Trimesh(
         vertices=vertices, faces=mesh.faces, vertex_colors=mesh.color, process=False, validate=False
     )
+    if mesh.uv is not None and mesh.picture is not None:
+        surface.visual = _micrograph_visual(mesh.uv, mesh.picture)
     export: Any = trimesh.Scene([surface]).export  # trimesh does not type it
     return cast("bytes", export(file_type="glb", include_normals=True, tree_postprocessor=describe))
+
+
+def _micrograph_visual(uv: FloatArray, picture: NDArray[np.uint8]) -> Any:
+    from PIL import Image
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    make_material: Any = PBRMaterial
+    make_visual: Any = TextureVisuals  # trimesh types neither
+    material = make_material(
+        name="micrograph",
+        baseColorTexture=Image.fromarray(picture),
+        metallicFactor=0.0,
+        roughnessFactor=1.0,
+        doubleSided=True,
+    )
+    return make_visual(uv=uv, material=material)
 
 
 def encode_height_map_npz(height_map: HeightMap) -> bytes:
     """Return a height map as a compressed NumPy archive.
 
     The keys carry the unit: height_um, uncertainty_um and pixel_size_um, or height_px, uncertainty_px and
-    pixel_size_px for a series without a pixel size; further world_from_grid, n_views, texture, length_unit.
+    pixel_size_px for a series without a pixel size; further world_from_grid, n_views, reason, specimen, texture,
+    length_unit.
     Heights and uncertainties are float32: seven digits, far below any uncertainty, at half the size.
     """
     unit = height_map.length_unit
@@ -141,6 +163,8 @@ def encode_height_map_npz(height_map: HeightMap) -> bytes:
         f"pixel_size_{unit}": np.array(float(height_map.pixel_size_um)),
         "world_from_grid": np.asarray(height_map.world_from_grid),
         "n_views": np.asarray(height_map.n_views),
+        "reason": np.asarray(height_map.reason),
+        "specimen": np.asarray(height_map.specimen),
         "texture": np.asarray(height_map.texture),
         "length_unit": np.array(unit),
     }
@@ -178,6 +202,7 @@ def read_height_map(path: Path | str) -> HeightMap:
                 pixel_size_um=float(archive[f"pixel_size_{unit}"]),
                 world_from_grid=archive["world_from_grid"],
                 length_unit=unit,
+                **{name: archive[name] for name in ("reason", "specimen") if name in archive.files},
             )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise BadInputError(f"{path} is not a height map of semscape (height_map.npz): {error}") from error

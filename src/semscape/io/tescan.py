@@ -12,7 +12,7 @@ import math
 import struct
 
 from semscape.io.metadata_fields import MetadataFields
-from semscape.io.quantities import KV_PER_VOLTAGE, PLAIN, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH
+from semscape.io.quantities import PLAIN, RAD_PER_ANGLE, UM_PER_LENGTH
 from semscape.io.vendor_text import decode_text, ini_values
 from semscape.types import SemMetadata
 
@@ -72,11 +72,11 @@ def parse_tescan(
     width_um, key = fields.read(_keys("PixelSizeX"), UM_PER_LENGTH, "m")
     fields.take_square_pixel(width_um, fields.read(_keys("PixelSizeY"), UM_PER_LENGTH, "m")[0], key)
     fields.take_stage_tilt(_keys("StageTilt"), "deg", sign_is_known=False)
-    fields.take("stage_rotation_rad", _keys("StageRotation"), RAD_PER_ANGLE, "deg")
-    fields.take("working_distance_um", _keys("WD"), UM_PER_LENGTH, "m")
-    fields.take("accelerating_voltage_kv", _keys("HV", "AcceleratorVoltage"), KV_PER_VOLTAGE, "v")
-    fields.take("magnification", _keys("Magnification"), TIMES)
-    fields.take("scan_rotation_rad", _keys("ScanRotation"), RAD_PER_ANGLE, "deg")
+    fields.take("stage_rotation_rad", _keys("StageRotation"), "deg")
+    fields.take("working_distance_um", _keys("WD"), "m")
+    fields.take("accelerating_voltage_kv", _keys("HV", "AcceleratorVoltage"), "v")
+    fields.take("magnification", _keys("Magnification"))
+    fields.take("scan_rotation_rad", _keys("ScanRotation"), "deg")
     correction, key = fields.read(_keys("TiltCorrection"), RAD_PER_ANGLE, "deg")
     if math.isfinite(correction) and correction != 0:
         fields.set_tilt_correction(correction, key)

@@ -13,7 +13,7 @@ here.
 from __future__ import annotations
 
 from semscape.io.metadata_fields import MetadataFields
-from semscape.io.quantities import KV_PER_VOLTAGE, PLAIN, RAD_PER_ANGLE, UM_PER_LENGTH
+from semscape.io.quantities import PLAIN, RAD_PER_ANGLE, UM_PER_LENGTH
 from semscape.io.vendor_text import ini_values
 from semscape.types import SemMetadata
 
@@ -50,10 +50,10 @@ def parse_thermo_fisher(
     height, width = image_shape
     fields.warn_if_resized(fields.read("Image.ResolutionX", PLAIN)[0], width)
     fields.take_stage_tilt(("Stage.StageT", f"{beam}.StageTa"), "rad", sign_is_known=True)
-    fields.take("stage_rotation_rad", ("Stage.StageR", f"{beam}.StageR"), RAD_PER_ANGLE, "rad")
-    fields.take("working_distance_um", ("Stage.WorkingDistance", f"{beam}.WD"), UM_PER_LENGTH, "m")
-    fields.take("accelerating_voltage_kv", ("Beam.HV", f"{beam}.HV"), KV_PER_VOLTAGE, "v")
-    fields.take("scan_rotation_rad", ("Beam.ScanRotation", f"{beam}.ScanRotation"), RAD_PER_ANGLE, "rad")
+    fields.take("stage_rotation_rad", ("Stage.StageR", f"{beam}.StageR"), "rad")
+    fields.take("working_distance_um", ("Stage.WorkingDistance", f"{beam}.WD"), "m")
+    fields.take("accelerating_voltage_kv", ("Beam.HV", f"{beam}.HV"), "v")
+    fields.take("scan_rotation_rad", ("Beam.ScanRotation", f"{beam}.ScanRotation"), "rad")
     if fields.is_on(f"{beam}.TiltCorrectionIsOn"):
         fields.set_tilt_correction(*fields.read(f"{beam}.TiltCorrectionAngle", RAD_PER_ANGLE, "rad"))
         fields.set("tilt_correction_axis_rad", 0.0, f"{beam}.TiltCorrectionIsOn")

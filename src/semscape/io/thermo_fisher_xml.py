@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from semscape.io.metadata_fields import MetadataFields
-from semscape.io.quantities import KV_PER_VOLTAGE, PLAIN, RAD_PER_ANGLE, UM_PER_LENGTH
+from semscape.io.quantities import PLAIN, RAD_PER_ANGLE, UM_PER_LENGTH
 from semscape.io.vendor_text import xml_values
 from semscape.types import SemMetadata
 
@@ -42,10 +42,10 @@ def parse_thermo_fisher_xml(text: str, image_shape: tuple[int, int]) -> tuple[Se
     height, width = image_shape
     fields.warn_if_resized(fields.read("Metadata.BinaryResult.ImageSize.X", PLAIN)[0], width)
     fields.take_stage_tilt(_STAGE + "Tilt.Alpha", "rad", sign_is_known=True)
-    fields.take("stage_rotation_rad", _STAGE + "Rotation", RAD_PER_ANGLE, "rad")
-    fields.take("working_distance_um", "Metadata.Optics.WorkingDistance", UM_PER_LENGTH, "m")
-    fields.take("accelerating_voltage_kv", "Metadata.Optics.AccelerationVoltage", KV_PER_VOLTAGE, "v")
-    fields.take("scan_rotation_rad", "Metadata.ScanSettings.ScanRotation", RAD_PER_ANGLE, "rad")
+    fields.take("stage_rotation_rad", _STAGE + "Rotation", "rad")
+    fields.take("working_distance_um", "Metadata.Optics.WorkingDistance", "m")
+    fields.take("accelerating_voltage_kv", "Metadata.Optics.AccelerationVoltage", "v")
+    fields.take("scan_rotation_rad", "Metadata.ScanSettings.ScanRotation", "rad")
     if fields.is_on("Metadata.Optics.SampleTiltCorrectionOn"):
         _take_tilt_correction(fields)
     stored, key = fields.read("Metadata.BinaryResult.ImageSize.Y", PLAIN)

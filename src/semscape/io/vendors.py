@@ -65,7 +65,7 @@ def _parse_tag(tag: int, data: bytes, shape: tuple[int, int]) -> _Parsed:
         return tescan.parse_tescan(tescan.tescan_tag_text(data), shape)
     text = decode_text(data)
     if phenom.is_phenom(text):
-        return phenom.parse_phenom(text, f"tag {tag}")
+        return phenom.parse_phenom(text, shape[0], f"tag {tag}")
     if tag == zeiss.TAG:
         return zeiss.parse_zeiss(text, shape[1])
     if tag == thermo_fisher_xml.TAG or text.lstrip().startswith("<"):

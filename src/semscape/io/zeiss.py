@@ -8,9 +8,14 @@ After a head of bare numbers the text holds pairs of lines: a key (`AP_WD`) and 
 - `AP_TILT_ANGLE` is the angle of the tilt *correction*, `AP_STAGE_AT_T` the tilt of the stage;
 - `AP_SCANROTATION` and `AP_TILT_ANGLE` keep their last value while `DP_SCAN_ROT`, `DP_TILT_CORRECTION` are off.
 
-At scan rotation 0 a SmartSEM stage is assumed to tilt about the image's horizontal axis, and a positive reading to
-turn the surface's normal towards the top of the image (pillars lean upwards). Newer files hold `AP_TILT_AXIS`, which
-is 0 deg beside `Stage Tilt = In Y`, and 90 deg beside `Stage Tilt = in X`: with the latter the sign is not sure.
+`AP_TILT_AXIS` is the direction of the stage's tilt axis in the image at scan rotation 0, and the axis across which
+tilt correction stretches: 0 deg is horizontal (beside it stands `Stage Tilt = In Y`), 90 deg vertical (`in X`). A
+measured series of an Auriga whose header says 90 deg has its axis at 90.4 +- 0.3 deg, from the images alone. Headers
+without `AP_TILT_AXIS` say `In Y` or `in X`, or nothing: then the axis is taken as horizontal.
+
+About a horizontal axis a positive reading turns the surface's normal towards the top of the image (pillars lean
+upwards). About a vertical one it is assumed to turn it to the left, as if image and stage were turned together by a
+quarter; no file says so.
 """
 
 from __future__ import annotations
@@ -19,7 +24,7 @@ import math
 import re
 
 from semscape.io.metadata_fields import TILT_SIGN, MetadataFields
-from semscape.io.quantities import KV_PER_VOLTAGE, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH, repair_units
+from semscape.io.quantities import RAD_PER_ANGLE, UM_PER_LENGTH, repair_units
 from semscape.types import SemMetadata
 
 __all__ = ["TAG", "TILT_SIGN", "parse_zeiss"]
@@ -28,7 +33,8 @@ TAG = 34118
 
 _DISPLAY_WIDTH_PX = 1024
 _KEY = re.compile(r"(?:AP|DP|SV)_[A-Z0-9_]+")
-_DEG_OR_BARE = RAD_PER_ANGLE | {"": RAD_PER_ANGLE["deg"]}
+_HORIZONTAL, _VERTICAL = 0.0, math.pi / 2
+_AXIS_OF_STAGE = {"in y": _HORIZONTAL, "in x": _VERTICAL}
 
 
 def parse_zeiss(text: str, image_width: int) -> tuple[SemMetadata, tuple[str, ...]]:
@@ -58,23 +64,36 @@ def parse_zeiss(text: str, image_width: int) -> tuple[SemMetadata, tuple[str, ..
         pixel_size *= _DISPLAY_WIDTH_PX / (store_width or image_width)
     fields.set("pixel_size_um", pixel_size, key)
     fields.warn_if_resized(store_width, image_width)
-    tilt_axis, axis_key = fields.read("AP_TILT_AXIS", _DEG_OR_BARE)
-    fields.take_stage_tilt("AP_STAGE_AT_T", "deg", sign_is_known=math.isnan(tilt_axis) or tilt_axis == 0)
-    fields.take("stage_rotation_rad", "AP_STAGE_AT_R", _DEG_OR_BARE)
-    fields.take("working_distance_um", "AP_WD", UM_PER_LENGTH)
-    fields.take("accelerating_voltage_kv", ("AP_ACTUALKV", "AP_MANUALKV"), KV_PER_VOLTAGE)
-    fields.take("magnification", "AP_MAG", TIMES)
+    tilt_axis, axis_key = _tilt_axis(fields)
+    fields.take_stage_tilt(
+        "AP_STAGE_AT_T",
+        "deg",
+        sign_is_known=math.isnan(tilt_axis) or tilt_axis == _HORIZONTAL,
+        leans="to the left" if tilt_axis == _VERTICAL else "up",
+    )
+    fields.take("stage_rotation_rad", "AP_STAGE_AT_R", "deg")
+    fields.take("working_distance_um", "AP_WD")
+    fields.take("accelerating_voltage_kv", ("AP_ACTUALKV", "AP_MANUALKV"))
+    fields.take("magnification", "AP_MAG")
     if fields.is_on("DP_SCAN_ROT"):
-        fields.take("scan_rotation_rad", "AP_SCANROTATION", _DEG_OR_BARE)
+        fields.take("scan_rotation_rad", "AP_SCANROTATION", "deg")
     elif fields.text("DP_SCAN_ROT"):
         fields.set("scan_rotation_rad", 0.0, "DP_SCAN_ROT")
     if fields.is_on("DP_TILT_CORRECTION"):
-        fields.set_tilt_correction(*fields.read("AP_TILT_ANGLE", _DEG_OR_BARE))
-        if tilt_axis == 0:
-            fields.set("tilt_correction_axis_rad", 0.0, axis_key)
+        fields.set_tilt_correction(*fields.read("AP_TILT_ANGLE", RAD_PER_ANGLE, "deg"))
+        if tilt_axis in (_HORIZONTAL, _VERTICAL):
+            fields.set("tilt_correction_axis_rad", tilt_axis, axis_key)
     if fields.is_on("DP_DYNFOCUS"):
         fields.set_dynamic_focus("DP_DYNFOCUS")
     return fields.metadata(model=fields.text("DP_SEM")), tuple(fields.warnings)
+
+
+def _tilt_axis(fields: MetadataFields) -> tuple[float, str]:
+    """Return the direction of the tilt axis in rad and the tag that says so; NaN where none does."""
+    axis, key = fields.read("AP_TILT_AXIS", RAD_PER_ANGLE, "deg")
+    if math.isnan(axis):
+        axis, key = _AXIS_OF_STAGE.get(fields.text("DP_STAGE_TILTED").lower(), math.nan), "DP_STAGE_TILTED"
+    return axis, key
 
 
 def _key_lines(text: str) -> dict[str, str]:

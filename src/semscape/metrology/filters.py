@@ -21,6 +21,7 @@ GAUSSIAN_ALPHA = float(np.sqrt(np.log(2) / np.pi))
 """a of ISO 16610-61: half the height passes at the nesting index."""
 
 _REACH = 1.0
+_PARALLEL_PIXELS = 1_000_000  # below that threads wait longer for each other than they work
 
 
 def gaussian_s_filter(height: FloatArray, spacing: Spacing, nesting_index: float) -> FloatArray:
@@ -54,8 +55,13 @@ def gaussian_l_filter(height: FloatArray, spacing: Spacing, nesting_index: float
     return height - gaussian_s_filter(height, spacing, nesting_index)
 
 
-def gaussian_smoother(known: BoolArray, spacing: Spacing, nesting_index: float) -> Callable[[FloatArray], FloatArray]:
-    """Return the S-filter for all maps that are known at the same pixels: its weights are computed once."""
+def gaussian_smoother(
+    known: BoolArray, spacing: Spacing, nesting_index: float, *, single: bool = False
+) -> Callable[[FloatArray], FloatArray]:
+    """Return the S-filter for all maps that are known at the same pixels: its weights are computed once.
+
+    With `single` it computes in single precision: half the time, and errors of 1e-6 of the largest height.
+    """
     if not nesting_index > 0:
         raise ValueError(f"the nesting index of a filter must be positive, got {nesting_index}")
     dx, dy = spacing_xy(spacing)
@@ -64,15 +70,18 @@ def gaussian_smoother(known: BoolArray, spacing: Spacing, nesting_index: float) 
     shape = [fft.next_fast_len(n + len(k) // 2, real=True) for n, k in zip(known.shape, kernels, strict=True)]
     along_y = fft.fft(_centred(kernels[0], shape[0])).real
     along_x = fft.rfft(_centred(kernels[1], shape[1])).real
-    transfer = along_y[:, None] * along_x
+    precision = np.float32 if single else np.float64
+    transfer = (along_y[:, None] * along_x).astype(precision)
     rows, cols = known.shape
+    workers = -1 if known.size > _PARALLEL_PIXELS else 1
 
     def blur(values: FloatArray) -> FloatArray:
-        spectrum = fft.rfft2(values, shape, workers=-1)
-        blurred: FloatArray = fft.irfft2(spectrum * transfer, shape, workers=-1)[:rows, :cols]
+        spectrum = fft.rfft2(values.astype(precision, copy=False), shape, workers=workers)
+        spectrum *= transfer
+        blurred: FloatArray = fft.irfft2(spectrum, shape, workers=workers, overwrite_x=True)[:rows, :cols]
         return blurred
 
-    weight = np.where(known, blur(known.astype(np.float64)), 1.0)
+    weight = np.where(known, blur(known.astype(precision)), 1.0)
 
     def smooth(height: FloatArray) -> FloatArray:
         if not known.any():

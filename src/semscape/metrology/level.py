@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from semscape.errors import NoAnswerError
 from semscape.metrology.grid import Spacing, spacing_xy
@@ -23,8 +22,9 @@ FormName = Literal["none", "plane", "poly2", "poly3", "poly4", "sphere"]
 _DEGREES: dict[str, int] = {"plane": 1, "poly2": 2, "poly3": 3, "poly4": 4}
 _L1_ROUNDS, _BIWEIGHT_ROUNDS = 2, 20
 _TUKEY, _MAD = 4.685, 1.4826
-_CONVERGED = 1e-6
-_SPHERE_POINTS = 200_000
+_CONVERGED = 1e-4  # of the scale: what the form may still move is a tenth of a permille of the roughness
+_SPHERE_POINTS = 50_000
+_FIRST_DAMPING, _SMALLEST_STEP, _MOST_STEPS = 1e-4, 1e-13, 100
 Fit = Callable[[FloatArray | None], FloatArray]
 
 
@@ -59,7 +59,7 @@ def level(
         Grid spacing, in the heights' unit.
     form : "none", "plane", "poly2", "poly3", "poly4" or "sphere"
         poly2 holds all terms x^i y^j with i + j <= 2, and so on. Polynomials minimize the vertical residuals, the
-        sphere those along its normals (to first order; over at most 200,000 pixels, evenly spread).
+        sphere those along its normals (to first order; over at most 50,000 pixels, evenly spread).
     robust : bool
         Reweight, so that up to about a third of outliers does not count.
     region : (H, W) bool array, optional
@@ -161,11 +161,9 @@ def _without_sphere(height: FloatArray, used: BoolArray, spacing: tuple[float, f
     start = _start_of_sphere(u, v, w)
 
     def fit(weights: FloatArray | None) -> FloatArray:
-        root = np.ones_like(w) if weights is None else np.sqrt(weights)
-        solution: FloatArray = least_squares(lambda p: root * _along_normal(p, u, v, w), start, x_scale="jac").x
-        return solution
+        return _fitted_sphere(start, u, v, w, np.ones_like(w) if weights is None else weights)
 
-    found = _reweighted(fit, lambda p: _along_normal(p, u, v, w)) if robust else fit(None)
+    found = _reweighted(fit, lambda p: _along_normal(p, u, v, w)[0]) if robust else fit(None)
     y_all, x_all = np.ogrid[: height.shape[0], : height.shape[1]]
     form = _sphere_height(found, (x_all * spacing[0] - middle[0]) / reach, (y_all * spacing[1] - middle[1]) / reach)
     form = form * reach + middle[2]
@@ -200,20 +198,46 @@ def _sphere_height(parameters: FloatArray, u: FloatArray, v: FloatArray) -> Floa
     return height
 
 
-def _along_normal(parameters: FloatArray, u: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
-    """Return the distances from the sphere along its normals; points beside it count from its rim."""
-    _, p, q, k = parameters
+def _fitted_sphere(start: FloatArray, u: FloatArray, v: FloatArray, w: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the parameters that minimize the weighted squares of the distances, by Levenberg's and Marquardt's way."""
+    found, damping = start, _FIRST_DAMPING
+    distance, jacobian = _along_normal(found, u, v, w)
+    cost = float((weights * distance**2).sum())
+    for _ in range(_MOST_STEPS):
+        weighted = weights * jacobian
+        normal, gradient = np.einsum("in,jn->ij", weighted, jacobian), np.einsum("in,n->i", weighted, distance)
+        step = -np.linalg.lstsq(normal + damping * np.diag(np.diagonal(normal)), gradient, rcond=1e-14)[0]
+        trial = found + step
+        its_distance, its_jacobian = _along_normal(trial, u, v, w)
+        its_cost = float((weights * its_distance**2).sum())
+        if its_cost <= cost:
+            found, distance, jacobian, cost = trial, its_distance, its_jacobian, its_cost
+            damping *= 0.1
+        else:
+            damping = max(10 * damping, _FIRST_DAMPING)
+        if np.abs(step).max() < _SMALLEST_STEP:
+            break
+    return found
+
+
+def _along_normal(parameters: FloatArray, u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the distances (N,) from the sphere along its normals, and their derivatives (4, N) by the parameters.
+
+    Points beside the sphere count from its rim. No sphere is as steep as p² + q² = 1: from there all is far.
+    """
+    c, p, q, k = parameters
     if p * p + q * q >= 1:
-        return np.full_like(w, 1e3)
-    squared = (k * u - p) ** 2 + (k * v - q) ** 2
-    # Exact for a sphere: sqrt((k u - p)² + (k v - q)² + (k (w - w0))²) = 1, with k w0 = k c - sqrt(flat).
+        return np.full_like(w, 1e3), np.zeros((4, len(w)))
+    # Exact for a sphere: its points have sqrt((k u - p)² + (k v - q)² + (k rise + flat)²) = 1. The norm less 1, over k,
+    # is excess / (1 + norm) with norm² = 1 + k excess: without a pole at k = 0.
     flat = np.sqrt(1 - p * p - q * q)
-    upward = k * (w - parameters[0]) + flat
-    # (norm² - 1) / (k (norm + 1)), with k divided out by hand, again without a pole at k = 0.
-    rise = w - parameters[0]
-    excess = k * (u * u + v * v + rise * rise) - 2 * (p * u + q * v) + 2 * flat * rise
-    distance: FloatArray = excess / (1 + np.sqrt(squared + upward * upward))
-    return distance
+    rise = w - c
+    square = u * u + v * v + rise * rise
+    excess = k * square - 2 * (p * u + q * v) + 2 * flat * rise
+    norm = np.sqrt(np.maximum(1 + k * excess, 1e-12))
+    distance: FloatArray = excess / (1 + norm)
+    slopes = [-(k * rise + flat), -(u + rise * (p / flat)), -(v + rise * (q / flat)), 0.5 * (square - distance**2)]
+    return distance, np.stack(slopes) / norm
 
 
 def _reweighted(fit: Fit, residuals: Callable[[FloatArray], FloatArray]) -> FloatArray:

@@ -36,7 +36,7 @@ from semscape.metrology.volume import distance, volumes
 from semscape.options import MeasureOptions
 from semscape.types import FloatArray, HeightMap
 
-_MONTE_CARLO_PIXELS = 250_000
+_MONTE_CARLO_PIXELS = 100_000
 _SAME_PIXEL_SIZE = 1e-3
 
 
@@ -139,7 +139,7 @@ def prepared_surfaces(
     """Return a function from heights, known where `height` is, to the S-F and the S-L surface.
 
     The filters' weights are computed once. For the draws of a Monte Carlo so is the majority that a robust fit
-    levels on, for it is the same in all of them.
+    levels on, for it is the same in all of them, and the filters compute in single precision.
     """
     form = cast("FormName", options.level)
     known = np.isfinite(height)
@@ -149,7 +149,7 @@ def prepared_surfaces(
     if form == "sphere":
         known = np.isfinite(level(height, spacing, form, robust=options.robust).height)
     s_filter, l_filter = (
-        None if math.isnan(index) else gaussian_smoother(known, spacing, index)
+        None if math.isnan(index) else gaussian_smoother(known, spacing, index, single=for_draws)
         for index in (options.s_filter_um, options.l_filter_um)
     )
 

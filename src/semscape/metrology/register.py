@@ -24,7 +24,7 @@ _MOVED_PX = 1e-3
 _TUKEY, _MAD = 4.685, 1.4826
 _LEAST_OVERLAP = 0.1
 _LEAST_KNOWN = 100
-_MOST_SAMPLES = 400_000
+_MOST_SAMPLES = 200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +69,13 @@ def compare(first: FloatArray, second: FloatArray, spacing: Spacing) -> Comparis
         known = int(np.isfinite(height).sum())
         if known < _LEAST_KNOWN:
             raise NoAnswerError(f"the {name} map has {known} known heights, need {_LEAST_KNOWN}")
-    matrix = _start(first, second, (dx, dy))
     smallest = min(*first.shape, *second.shape)
     strides = [s for s in (8, 4, 2, 1) if s == 1 or smallest // s >= _COARSEST_PX]
+    matrix: FloatArray | None = None
     for stride in strides:
-        matrix = _refined(_coarser(first, stride), _coarser(second, stride), matrix, (dx * stride, dy * stride), stride)
+        coarse, step = (_coarser(first, stride), _coarser(second, stride)), (dx * stride, dy * stride)
+        matrix = _refined(*coarse, _start(*coarse, step) if matrix is None else matrix, step, stride)
+    assert matrix is not None
     moved = resample(second, matrix, first.shape, (dx, dy))
     difference = moved - first
     both = np.isfinite(difference)
@@ -145,7 +147,7 @@ def _coarser(height: FloatArray, stride: int) -> FloatArray:
     """Return every stride-th height of the smoothed map, its pixel (0, 0) kept in place."""
     if stride == 1:
         return height
-    smooth = gaussian_smoother(np.isfinite(height), 1.0, 2.0 * stride)(height)
+    smooth = gaussian_smoother(np.isfinite(height), 1.0, 2.0 * stride, single=True)(height)
     thinned: FloatArray = smooth[::stride, ::stride]
     return thinned
 

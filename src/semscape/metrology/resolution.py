@@ -137,7 +137,7 @@ def second_differences(height: FloatArray) -> tuple[FloatArray, BoolArray]:
 def tapered(quiet: BoolArray) -> FloatArray:
     """Return weights that rise smoothly from 0 at what is left out and at the frame: a sharp edge would leak."""
     framed = np.pad(quiet, 1)
-    depth = ndimage.distance_transform_edt(framed)[1:-1, 1:-1]
+    depth = ndimage.distance_transform_cdt(framed, "chessboard")[1:-1, 1:-1]  # a tenth of the time of the exact one
     weights: FloatArray = np.sin(0.5 * np.pi * np.minimum(depth / _TAPER_PX, 1.0)) ** 2
     return weights
 

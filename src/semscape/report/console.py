@@ -114,7 +114,7 @@ def print_inspection(folder: str, series: TiltSeries, views: Sequence[Mapping[st
     from rich.table import Table
 
     height, width = series.shape
-    print_line(f"{folder}: {series.n_views} views of {width} × {height} px", console, "bold")
+    print_line(f"{folder}: {series.n_views} view{'s' * (series.n_views > 1)} of {width} × {height} px", console, "bold")
     table = Table(box=box.SIMPLE_HEAD if console.is_terminal else box.ASCII2, pad_edge=False)
     for title in ("image", "vendor", "pixel size", "tilt", "axis", "data bar"):
         table.add_column(title, overflow="fold", justify="left" if title in ("image", "vendor") else "right")

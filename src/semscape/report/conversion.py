@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from semscape.dense.mesh import grey_levels, height_map_mesh
+from semscape.dense.mesh import height_map_mesh, with_picture
 from semscape.dense.print_body import print_body
 from semscape.errors import BadInputError, NoAnswerError
 from semscape.io.digital_surf import encode_sur
@@ -32,7 +32,7 @@ from semscape.io.surfaces import (
     encode_mesh_glb,
     encode_mesh_ply,
 )
-from semscape.options import ConvertOptions
+from semscape.options import ConvertOptions, MeshOptions
 from semscape.report.stereo_picture import anaglyph_png, rectified_pair, side_by_side_png
 from semscape.types import FloatArray, HeightMap, SurfaceMesh
 
@@ -61,21 +61,18 @@ class _Source:
         if not len(mesh.faces):
             raise NoAnswerError(f"{self.path}: the heights have too many gaps for a single triangle of a mesh")
         if self.options.color == "micrograph":
-            return mesh
+            return with_picture(mesh, self.height_map, MeshOptions().texture_px)
         return replace(mesh, color=_colors(mesh.vertices_um[:, 2], self.height_map, self.options.color))
 
 
 def _obj(source: _Source) -> dict[str, bytes]:
-    grid_from_world = np.linalg.inv(source.height_map.world_from_grid)
-    vertices = np.column_stack([source.mesh.vertices_um, np.ones(len(source.mesh.vertices_um))])
-    col, row = (vertices @ grid_from_world.T)[:, :2].T
-    rows, columns = source.height_map.height_um.shape
-    uv = np.column_stack([(col + 0.5) / columns, 1 - (row + 0.5) / rows])
-    if source.options.color == "micrograph":
-        picture = np.repeat(grey_levels(source.height_map.texture)[..., None], 3, axis=-1)
-    else:
-        picture = _colors(source.height_map.height_um, source.height_map, source.options.color)
-    return encode_obj(source.mesh, uv, picture, source.name, source.unit)
+    height_map = source.height_map
+    mesh = with_picture(source.mesh, height_map, max(height_map.height_um.shape))
+    assert mesh.uv is not None and mesh.picture is not None  # for so it was made
+    picture = np.repeat(mesh.picture[..., None], 3, axis=-1)
+    if source.options.color != "micrograph":
+        picture = _colors(height_map.height_um, height_map, source.options.color)
+    return encode_obj(mesh, mesh.uv, picture, source.name, source.unit)
 
 
 def _print(source: _Source) -> dict[str, bytes]:
@@ -142,7 +139,7 @@ _SUFFIXES = {".print": ".stl", ".anaglyph": ".png", ".side-by-side": ".png"}
 def convert(
     run: Path | str,
     formats: Sequence[str],
-    output: Path | str,
+    output: Path | str | None = None,
     options: ConvertOptions | None = None,
     *,
     images: Path | str | None = None,
@@ -156,7 +153,8 @@ def convert(
     formats : sequence of str
         Keys of `FORMATS`.
     output : path
-        A folder, in which files are named after the run; or a file, for a single format whose suffix it has.
+        A folder, in which files are named after the run; or a file, for a single format whose suffix it has. Left
+        out: the folder `converted` in the run folder, or beside the height_map.npz.
     options : ConvertOptions, optional
         Units, colours, scales.
     images : path, optional
@@ -177,7 +175,8 @@ def convert(
     if unknown or not formats:
         raise BadInputError(f"--to {','.join(unknown) or '(empty)'} is not known; there are: {', '.join(FORMATS)}")
     path = Path(run)
-    folder, name = _target(list(dict.fromkeys(formats)), Path(output))
+    output = (path.parent if path.is_file() else path) / "converted" if output is None else Path(output)
+    folder, name = _target(list(dict.fromkeys(formats)), output)
     height_map = read_finished_run(path).height_map
     archive = path if path.is_file() else path / "height_map.npz"
     # The time of the heights, not of the conversion: the same run gives the same bytes.
@@ -189,7 +188,8 @@ def convert(
     for key in dict.fromkeys(formats):
         files |= FORMATS[key](source)
     if name is not None and len(files) == 1:
-        files = {Path(output).name: content for content in files.values()}
+        (content,) = files.values()
+        files = {output.name: content}
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -14,8 +14,10 @@ from semscape.report.figures import height_picture, hillshade_picture, tilt_pict
 from semscape.report.json import report_to_dict
 from semscape.report.markup import figure, fixed, page, percent, plus_minus, table, with_sigma
 from semscape.report.methods import assumptions, methods_section
+from semscape.report.motion_table import before_and_after
 from semscape.report.pair_pictures import pair_drawings
 from semscape.report.texture_section import texture_section
+from semscape.report.unknown import unknown_html
 from semscape.report.viewer_page import viewer_parts, viewer_script
 from semscape.report.wording import UNIT_SIGNS, Z_95, held_text, is_held, label, number, two_digits, value_text
 from semscape.types import FloatArray, LengthUnit, Result
@@ -29,6 +31,7 @@ _NO_TILE = {
     "height_max",
     "n_views",
     "pixel_size",
+    "unknown",
 }
 
 
@@ -139,11 +142,14 @@ def _surface(result: Result) -> str:
         ),
     )
     still = f'<div class="wide">{pictures[0]}</div><div class="two">{pictures[1]}{pictures[2]}</div>'
+    unknown = unknown_html(result.height_map)
+    gaps = f"<section><h2>Views and gaps</h2>{unknown}</section>" if unknown else ""
     if viewer_script() is None:
         note = "The 3D viewer is not built in this installation of semscape: <code>make web</code> does it."
-        return f'<section><h2>Surface</h2><p class="quiet">{note}</p>{still}</section>'
+        return f'<section><h2>Surface</h2><p class="quiet">{note}</p>{still}</section>{gaps}'
     # With scripts the viewer shows all three; the pictures are for paper, and where no script may run.
-    return f'<section class="surface"><h2>Surface</h2>{viewer_parts(result)}<div class="still">{still}</div></section>'
+    parts = f'{viewer_parts(result)}<div class="still">{still}</div>'
+    return f'<section class="surface"><h2>Surface</h2>{parts}</section>{gaps}'
 
 
 def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
@@ -176,8 +182,8 @@ def _views(report: Mapping[str, Any], result: Result, unit: LengthUnit) -> str:
     return (
         f"<section><h2>Tilts and scales</h2>{table(head, rows)}"
         f'<p class="quiet">± is 1 σ. Tilt axis at {axis}° from +x, counter-clockwise. '
-        f"{_priors(report)}"
         f"Tilts: {escape(report['tilt_source'])}. {escape(report['height_scale'].capitalize())}.</p>"
+        f"{before_and_after(report, result)}"
         f'<div class="wide">{picture}</div></section>'
     )
 
@@ -190,22 +196,6 @@ def _residual_rms_px(result: Result) -> FloatArray:
     squares = np.bincount(view, (found.residual_px[counts] ** 2).sum(axis=1), result.series.n_views)
     number_seen = np.bincount(view, minlength=result.series.n_views)
     return np.sqrt(np.where(number_seen > 0, squares / np.maximum(number_seen, 1), np.nan))
-
-
-def _priors(report: Mapping[str, Any]) -> str:
-    """Say what was known or assumed before (1 sigma), beside which the table's posterior stands."""
-    priors = [view.get("prior") or {} for view in report["views"]]
-    if not all(priors):
-        return ""
-    told = sum(1 for view in report["views"] if view["stage_tilt_deg"] is not None)
-    tilt = max((prior["tilt_sigma_deg"] or 0.0 for prior in priors), default=0.0) if told > 1 else None
-    assumed = priors[0]
-    drift = percent(assumed["scale_relative_sigma"])
-    return (
-        f"Before: {'stage tilts to ' + number(tilt) + '°' if tilt else 'tilts free'}, and assumed a roll within "
-        f"{number(assumed['roll_sigma_deg'])}°, a scale drift within {number(drift)} %, "
-        f"an anisotropy within {number(percent(assumed['anisotropy_sigma']))} % (learnt from the series). "
-    )
 
 
 def _pairs(report: Mapping[str, Any], result: Result) -> str:

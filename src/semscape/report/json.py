@@ -8,6 +8,8 @@ from semscape.io.run_folder import RUN_FORMAT, plain_json, reconstruction_to_dic
 from semscape.report.wording import ambiguity_text, height_scale_text
 from semscape.types import Result
 
+_MOTION = ("height_scale_relative_sigma_of_images", "mirror_margin", "camera", "camera_margin")
+
 
 def report_to_dict(result: Result) -> dict[str, Any]:
     """Return the report of a run with the tilts and scales of its views, ready for `json.dumps`.
@@ -34,6 +36,7 @@ def report_to_dict(result: Result) -> dict[str, Any]:
         "axis_deg": calibration["axis_deg"],
         "axis_sigma_deg": calibration["axis_sigma_deg"],
         "reference_view": calibration["reference_view"],
+        **{key: calibration[key] for key in calibration if key in _MOTION or key.startswith("inverse_distance")},
         "views": views,
         "pairs": report.pairs,
         "stages": [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import re
 import sys
@@ -38,6 +39,14 @@ def peak_memory_mb() -> float:
         return math.nan
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return max(_highest_mb, peak / (1e6 if sys.platform == "darwin" else 1e3))
+
+
+def release_memory() -> None:
+    """Give the memory that is free back to the system, which the C library of Linux keeps for later in large parts."""
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
+        if trim is not None:
+            trim(0)
 
 
 def _mark_mb() -> float:

@@ -11,7 +11,7 @@ from PIL import Image
 from semscape.report.markup import picture_data
 from semscape.types import FloatArray, Matches, Micrograph, Result, TwoViewGeometry
 
-_VIEW_WIDTH_PX = 440
+_VIEW_WIDTH_PX, _FULL_VIEWS = 440, 12
 _JPEG_QUALITY = 68
 _MOST_PAIRS = 66
 _MOST_DOTS, _FEWEST_DOTS, _ALL_DOTS = 260, 30, 14_000
@@ -31,9 +31,11 @@ def pair_drawings(result: Result) -> str:
         return ""
     shown = sorted({view for geometry in drawn for view in geometry.pair})
     height, width = result.series.shape
+    # Many views share the bytes that twelve may take.
+    view_width = round(_VIEW_WIDTH_PX * min(1.0, np.sqrt(_FULL_VIEWS / len(shown))))
     views = "".join(
         f'<symbol id="view-{view}" viewBox="0 0 {width} {height}"><image width="{width}" height="{height}" '
-        f'href="{picture_data(_view_jpeg(result.series.views[view]), "jpeg")}"/></symbol>'
+        f'href="{picture_data(_view_jpeg(result.series.views[view], view_width), "jpeg")}"/></symbol>'
         for view in shown
     )
     most_dots = int(np.clip(_ALL_DOTS / len(drawn), _FEWEST_DOTS, _MOST_DOTS))
@@ -80,13 +82,13 @@ def _xy(point: FloatArray) -> str:
     return f"{point[0]:.0f} {point[1]:.0f}"
 
 
-def _view_jpeg(view: Micrograph) -> bytes:
+def _view_jpeg(view: Micrograph, width: int) -> bytes:
     """Return a view, small and stretched between the 1st and 99th percentile of what was imaged."""
     known = view.image[view.mask & np.isfinite(view.image)]
     low, high = np.percentile(known, [1.0, 99.0]) if known.size else (0.0, 1.0)
     scaled = (np.nan_to_num(view.image, nan=float(low)) - low) / max(float(high - low), 1e-12)
     picture = Image.fromarray(np.rint(255 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8))
-    picture.thumbnail((_VIEW_WIDTH_PX, 10 * _VIEW_WIDTH_PX), Image.Resampling.BOX)
+    picture.thumbnail((width, 10 * width), Image.Resampling.BOX)
     stream = io.BytesIO()
     picture.save(stream, "jpeg", quality=_JPEG_QUALITY, optimize=True)
     return stream.getvalue()

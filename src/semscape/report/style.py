@@ -92,7 +92,7 @@ code { font: 13px ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
 .pairs path { fill: none; stroke-linecap: round; }
 .pairs .lines { opacity: 0.7; }
 .pairs figcaption { overflow-wrap: anywhere; margin-bottom: 4px; }
-section > ul { padding-left: 20px; margin: 12px 0 0; max-width: 80ch; }
+section > ul { padding-left: 20px; margin: 12px 0 0; }
 a { color: var(--accent); }
 pre { font: 12.5px/1.45 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; overflow: auto; max-height: 60vh; }
 summary { cursor: pointer; }

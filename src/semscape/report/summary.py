@@ -16,6 +16,7 @@ from semscape.types import (
     Keypoints,
     Matches,
     Observations,
+    Reason,
     Reconstruction,
     Report,
     StageReport,
@@ -104,8 +105,21 @@ def _metrics(
         "height_min": float(low),
         "height_max": float(high),
         "completeness": float(known.mean()),
+        "completeness_specimen": float(known[height_map.specimen].mean()) if height_map.specimen.any() else np.nan,
+        "unknown": reason_shares(height_map),
         "median_uncertainty": float(np.median(height_map.uncertainty_um[known])) if known.any() else np.nan,
         "pixel_size": height_map.pixel_size_um,
+    }
+
+
+def reason_shares(height_map: HeightMap) -> dict[str, float]:
+    """Return by the lower-case name of each reason the share of the field that is unknown for it, where it occurs."""
+    count = np.bincount(height_map.reason.ravel(), minlength=256)
+    size = max(height_map.reason.size, 1)
+    return {
+        reason.name.lower(): float(count[reason]) / size
+        for reason in Reason
+        if reason is not Reason.KNOWN and count[reason]
     }
 
 
@@ -119,8 +133,8 @@ def _verdict(reconstruction: Reconstruction, metrics: dict[str, Any]) -> str:
             f"do not measure: the height scale is known to +-{scale:.0%} (95 %) only; shape and proportions in the "
             "image plane are right, heights are not"
         )
-    if metrics["completeness"] < _LEAST_COMPLETENESS:
-        return f"do not measure: heights are known on {metrics['completeness']:.0%} of the field only"
+    if metrics["completeness_specimen"] < _LEAST_COMPLETENESS:
+        return f"do not measure: heights are known on {metrics['completeness_specimen']:.0%} of the specimen only"
     if reconstruction.ambiguity != "none":
         return (
             f"usable: heights to +-{scale:.0%} (95 %) from self-calibrated tilts, and the sign of the relief is "

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.geometry.rotations import tilted_cam_from_world
-from semscape.types import FloatArray, HeightMap, ImageArray, Motion, Result
+from semscape.types import FloatArray, HeightMap, ImageArray, Motion, Reason, Result
 
 SURFACE_MAGIC = b"SEMSURF1"
 
@@ -116,6 +116,10 @@ def encode_surface(
         "n_views": _deflated(_delta(np.where(known, n_views, 0).astype(np.uint8))),
         "points": _deflated(points),
     }
+    reason = height_map.reason[::stride, ::stride]
+    told = {int(code): Reason(code).name.lower().replace("_", " ") for code in np.unique(reason[~known])}
+    if set(told) - {Reason.NOT_TOLD}:
+        planes["reason"] = _deflated(_delta(np.where(known, Reason.KNOWN, reason).astype(np.uint8)))
     if np.isfinite(texture).any():
         planes["micrograph"] = _jpeg(texture)
     rows, cols = height.shape
@@ -133,6 +137,7 @@ def encode_surface(
         "height_bytes": height_bytes,
         "sigma_origin": sigma_origin,
         "sigma_ratio": sigma_ratio,
+        "reasons": {str(code): name for code, name in told.items()},
         "height_scale_relative_sigma": _finite(height_scale_relative_sigma),
         "cameras": [
             {
@@ -175,6 +180,7 @@ def decode_surface(content: bytes) -> HeightMap:
     residual = (zigzag >> np.uint32(1)).astype(np.int64) ^ -(zigzag & np.uint32(1)).astype(np.int64)
     steps = residual.cumsum(axis=0).cumsum(axis=1)
     sigma = header["sigma_origin"] * header["sigma_ratio"] ** (codes.astype(np.float64) - 2)
+    reason = _undelta(plane("reason").reshape(shape)) if "reason" in header["planes"] else np.empty((0, 0), np.uint8)
     return HeightMap(
         height_um=np.where(codes > 0, header["height_origin"] + header["height_step"] * steps, np.nan),
         uncertainty_um=np.where(codes > 1, sigma, np.nan),
@@ -183,6 +189,7 @@ def decode_surface(content: bytes) -> HeightMap:
         pixel_size_um=header["pixel_size"],
         world_from_grid=np.array(header["world_from_grid"]).reshape(4, 4),
         length_unit=header["length_unit"],
+        reason=reason,
     )
 
 

@@ -23,6 +23,7 @@ _LABELS = {
     "mean_track_length": "Mean track length",
     "height_range": "Height range",
     "completeness": "Completeness",
+    "completeness_specimen": "Completeness, specimen",
     "height_scale_relative_sigma": "Height scale (1 σ)",
     "height_scale_relative_sigma_95": "Height scale (95 %)",
     "median_uncertainty": "Median height uncertainty",

@@ -107,7 +107,7 @@ def refine(
     weights = np.ones(len(observations.view))
     iterations = 0
     for _ in range(max_iterations):
-        sigma_px = noise_sigma_px(problem.residuals(parameters, weights), observations)
+        sigma_px = noise_sigma_px(problem.residuals(parameters, weights), observations, weights)
         weights = problem.cauchy_weights(parameters, sigma_px)
         information = weights / (sigma_px**2 * overdispersion)
         start = parameters
@@ -117,7 +117,7 @@ def refine(
             break
     parameters, cost, steps = problem.minimize(parameters, information, max_steps=200)
     hessian = problem.normal_equations(parameters, information).hessian
-    covariance = model.covariance(hessian)
+    covariance = model.covariance(hessian, parameters)
     residual = problem.residuals(parameters, weights)
     points, points_covariance = problem.points_with_covariance(parameters, information, covariance)
     return Adjustment(

@@ -51,7 +51,7 @@ def images_height_scale_sigma(
     hessian = Problem(observations, model).normal_equations(found.parameters, information).hessian
     if np.linalg.eigvalsh(hessian)[0] <= 0:
         return np.inf
-    covariance = model.covariance(hessian)[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
+    covariance = model.covariance(hessian, found.parameters)[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
     sigma = height_scale_relative_sigma(found.parameters[1::PARAMETERS_PER_VIEW], covariance)
     return sigma if sigma < _NOTHING_KNOWN else np.inf
 

@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from semscape.sfm.adjust import Adjustment, adjust
-from semscape.sfm.models import PARAMETERS_PER_VIEW
+from semscape.sfm.adjust import Adjustment, Problem, adjust
+from semscape.sfm.models import PARAMETERS_PER_VIEW, TiltSeriesModel, by_anisotropy_sigma
 from semscape.sfm.priors import MotionPrior
-from semscape.types import Observations
+from semscape.types import FloatArray, Observations
 
-_TOLD_IN_VIEWS = 4.0
-_MOST_ROUNDS = 10
-_LEARNT = 0.02
-_REACH = 2.0
+_ROUNDS = 2
+# Sigmas that are weighed, in units of the one told, evenly spaced in the logarithm.
+_LEAST, _MOST, _STEPS = 0.02, 6.0, 40
+# Even odds that the scans are as quiet as they like, or stretch as told, give or take the factor e^0.5.
+_LOUDEST_OF_QUIET, _SPREAD_OF_TOLD = 2.0, 0.5
 
 
 def adjust_learning_anisotropy(
@@ -22,12 +23,13 @@ def adjust_learning_anisotropy(
 ) -> tuple[MotionPrior, Adjustment]:
     """Adjust to the bottom, with the sigma of the scan's anisotropy learnt from the series itself.
 
-    No two microscopes share that sigma. The prior's own counts as four views with that scatter; what the
-    series adds is found by expectation-maximization. Where the images do not tell it, it stays what it was.
+    No two microscopes share that sigma, and it decides how far the images' tilts are trusted. So every sigma from a
+    fiftieth of the told one to six times it gets a weight: its prior times the evidence of the images, the other
+    parameters integrated out (Laplace approximation). From five views on the images tell a steady scan from one that
+    stretches; of three they tell next to nothing, and what is told stands.
 
-    The interval is to hold for a scan that stretches so, but most stretch less, and an estimate that allows for more
-    than there is follows the noise: so from images alone the estimate takes half of it, and the covariance all of
-    it. A stage that tells the tilts outweighs such an estimate, and must not be pulled by a trust that may be wrong.
+    The estimate rests on the sigma whose tilts have the least expected error measured in their own sigmas, so that
+    a quiet scan, if it is one, is not given up for a loud one. The covariance is that of all sigmas together.
 
     Parameters
     ----------
@@ -40,28 +42,42 @@ def adjust_learning_anisotropy(
     Returns
     -------
     prior : MotionPrior
-        With the learnt sigma; where no stage tells the tilts with half of it, and a reach of 2.
+        With the sigma that the estimate rests on, and all sigmas with their weights.
     adjustment : Adjustment
 
     References
     ----------
-    Dempster, Laird & Rubin 1977, doi:10.1111/j.2517-6161.1977.tb01600.x.
+    MacKay 1992, doi:10.1162/neco.1992.4.3.415 (evidence); Gelman 2006, doi:10.1214/06-BA117A (priors of a variance
+    that few groups share); Hoeting et al. 1999, doi:10.1214/ss/1009212519 (averaging over models).
     """
-    told = prior.anisotropy_sigma
-    found = first
-    for _ in range(_MOST_ROUNDS):
-        found = adjust(
-            found.parameters, observations, prior, max_iterations=max_iterations, overdispersion=overdispersion
-        )
+    sigmas = prior.anisotropy_sigma * np.geomspace(_LEAST, _MOST, _STEPS)
+    log_prior = _log_prior(sigmas / prior.anisotropy_sigma)
+
+    def adjusted(start: FloatArray) -> Adjustment:
+        return adjust(start, observations, prior, max_iterations=max_iterations, overdispersion=overdispersion)
+
+    found = adjusted(first.parameters)
+    for _ in range(_ROUNDS):
+        information = found.weights / (found.sigma_px**2 * overdispersion)
+        model = TiltSeriesModel(prior)
+        hessian = Problem(observations, model).normal_equations(found.parameters, information).hessian
         anisotropy = found.parameters[4::PARAMETERS_PER_VIEW]
-        variance = np.diag(found.covariance)[4::PARAMETERS_PER_VIEW]
-        evidence = float((anisotropy**2 + variance).sum())
-        sigma = float(np.sqrt((_TOLD_IN_VIEWS * told**2 + evidence) / (_TOLD_IN_VIEWS + prior.n_views)))
-        if abs(sigma / prior.anisotropy_sigma - 1) < _LEARNT:
-            break
-        prior = replace(prior, anisotropy_sigma=sigma)
-    if not prior.self_calibrated:
-        return prior, found
-    prior = replace(prior, anisotropy_sigma=prior.anisotropy_sigma / _REACH, anisotropy_reach=_REACH)
-    found = adjust(found.parameters, observations, prior, max_iterations=max_iterations, overdispersion=overdispersion)
+        shift, covariance, log_evidence = by_anisotropy_sigma(hessian, anisotropy, prior.anisotropy_sigma, sigmas)
+        log_weight = log_evidence + log_prior
+        weight = np.exp(log_weight - log_weight.max())
+        weight /= weight.sum()
+        tilt_shift = shift[:, 1::PARAMETERS_PER_VIEW]
+        precision = weight / np.einsum("skk->s", covariance[:, 1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW])
+        mean = precision @ tilt_shift / precision.sum()
+        taken = float(sigmas[np.argmin(((tilt_shift - mean) ** 2).sum(axis=1))])
+        prior = replace(prior, anisotropy_sigma=taken, anisotropy_sigmas=sigmas, anisotropy_weights=weight)
+        found = adjusted(found.parameters)
     return prior, found
+
+
+def _log_prior(ratio: FloatArray) -> FloatArray:
+    """Return the logarithm of the prior density of log sigma, for sigmas in units of the told one."""
+    quiet = (ratio <= _LOUDEST_OF_QUIET) / np.log(_LOUDEST_OF_QUIET / _LEAST)
+    told = np.exp(-0.5 * (np.log(ratio) / _SPREAD_OF_TOLD) ** 2) / (_SPREAD_OF_TOLD * np.sqrt(2 * np.pi))
+    density: FloatArray = np.log(0.5 * quiet + 0.5 * told)
+    return density

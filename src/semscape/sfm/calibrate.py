@@ -101,7 +101,9 @@ def calibrate(
     if not prior.self_calibrated and series.n_views > 2:
         unbound = evolve(found.patterns, prior.without_stage(), found.sigma_px, options, rng=rng)
         n_free = 2 * len(observations.view) - 3 * observations.n_points
-        doubts += stage_contradictions(found.patterns, found.evolution.parameters, unbound.parameters, n_free, prior)
+        doubts += stage_contradictions(
+            series.names, found.patterns, found.evolution.parameters, unbound.parameters, n_free, prior
+        )
     first = adjust(
         with_translations(found.evolution.parameters, observations, series.n_views),
         observations,
@@ -128,14 +130,12 @@ def calibrate(
     reconstruction = replace(
         _reconstruction(series, replace(kept, xy=as_seen), final, prior, options, doubts),
         prior_mean=prior.centre_and_sigma()[0],
-        prior_sigma=replace(
-            learnt, anisotropy_sigma=learnt.anisotropy_sigma * learnt.anisotropy_reach
-        ).centre_and_sigma()[1],
+        prior_sigma=replace(learnt, anisotropy_sigma=learnt.expected_anisotropy).centre_and_sigma()[1],
         mirror_margin=mirror_margin(kept, final, learnt, options, overdispersion),
         height_scale_relative_sigma_of_images=images_height_scale_sigma(kept, final, learnt, overdispersion),
     )
     if perspective is not None:
-        reconstruction = _with_camera(reconstruction, perspective, final, options)
+        reconstruction = _with_camera(series, reconstruction, perspective, final, options)
     return Calibration(reconstruction, found.evolution, final.sigma_px, overdispersion, drift_px)
 
 
@@ -189,10 +189,11 @@ def _perspective(
 
 
 def _with_camera(
-    reconstruction: Reconstruction, fit: PerspectiveFit, final: Adjustment, options: SfmOptions
+    series: TiltSeries, reconstruction: Reconstruction, fit: PerspectiveFit, final: Adjustment, options: SfmOptions
 ) -> Reconstruction:
     """State which camera was taken and why; the sign of the distance must agree with that of the relief."""
-    taken = final is fit.adjustment
+    taken = final is fit.adjustment and fit.inverse_distance_per_um != 0
+    unit = reconstruction.length_unit
     mirrored = float(reconstruction.motion.tilt_rad @ final.parameters[1::PARAMETERS_PER_VIEW]) < 0
     inverse_distance = -fit.inverse_distance_per_um if mirrored else fit.inverse_distance_per_um
     warnings = list(reconstruction.warnings)
@@ -201,11 +202,13 @@ def _with_camera(
             f"the perspective says ({abs(inverse_distance) / fit.sigma_per_um:.1f} sigma) that the relief is turned "
             "inside out: what is nearer looks larger. Check the sign of the tilts, or --invert-relief"
         )
-    if fit.margin > 0 and options.camera == "auto":
+    if taken:
+        height_um = np.percentile(np.abs(reconstruction.points_um[:, 2]), 99)
+        aside_px = float(height_um * abs(inverse_distance) * np.hypot(*series.shape) / 2)
         warnings.append(
-            f"the images show perspective: its information criterion is better by {fit.margin:.0f}, the centre of "
-            f"projection lies {1 / abs(inverse_distance):.3g} {reconstruction.length_unit} away. The tilts hold it; "
-            "the dense surface is computed as in parallel projection"
+            f"the perspective camera is taken{_why(fit, options)}: its centre of projection lies "
+            f"{1 / abs(inverse_distance):.3g} {unit} away. Tilts, points and heights hold it; in the corners of the "
+            f"dense surface what stands {height_um:.3g} {unit} high is drawn up to {aside_px:.1f} px beside its place"
         )
     return replace(
         reconstruction,
@@ -215,6 +218,12 @@ def _with_camera(
         camera_margin=fit.margin,
         warnings=tuple(warnings),
     )
+
+
+def _why(fit: PerspectiveFit, options: SfmOptions) -> str:
+    if options.camera == "perspective":
+        return " as asked for"
+    return f", for the images show it (its information criterion is better by {fit.margin:.0f})"
 
 
 def _without_outliers(observations: Observations, adjustment: Adjustment) -> tuple[Observations, BoolArray]:
@@ -251,9 +260,12 @@ def _reconstruction(
     tilt_covariance = covariance[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
     height_scale_sigma = height_scale_relative_sigma(motion.tilt_rad, tilt_covariance)
     tilt_sigma = np.sqrt(np.diag(tilt_covariance))
-    contradictions = [*doubts, *prior_contradictions(series.names, final.parameters, prior)]
+    contradictions = doubts + prior_contradictions(
+        series.names, final.parameters, tilt_sigma, prior, tilts_doubted=bool(doubts)
+    )
     warnings += height_scale_warnings(height_scale_sigma, prior)
-    warnings += perspective_warnings(series, points[:, 2])
+    if options.camera == "orthographic":
+        warnings += perspective_warnings(series, motion.tilt_rad, points[:, 2])
     source: TiltSource = "self-calibrated" if prior.self_calibrated else _told_by(series)
     return Reconstruction(
         motion=motion,

@@ -19,6 +19,7 @@ from semscape.types import FloatArray, IntArray, Observations
 # Members of a population that are worked on side by side: lanes of the machine's vector unit.
 _LANES = 16
 _RIDGE = 1e-10
+_VIEWS_PER_CODE = 32
 
 
 @dataclass(frozen=True)
@@ -102,10 +103,17 @@ def _by_pattern(observations: Observations, n_views: int) -> Iterator[tuple[IntA
     start = np.searchsorted(observations.point, np.arange(observations.n_points + 1))
     visible = np.zeros((observations.n_points, n_views), dtype=bool)
     visible[observations.point, observations.view] = True
-    patterns, pattern_of = np.unique(visible, axis=0, return_inverse=True)
-    order = np.argsort(pattern_of.ravel(), kind="stable")
-    groups = np.split(order, np.cumsum(np.bincount(pattern_of.ravel()))[:-1])
-    for pattern, points in zip(patterns, groups, strict=True):
+    pattern_of = np.zeros(observations.n_points, dtype=np.int64)
+    example = np.zeros(1, dtype=np.int64)
+    for first in range(0, n_views, _VIEWS_PER_CODE):
+        chunk = visible[:, first : first + _VIEWS_PER_CODE]
+        bits = 2 ** np.arange(chunk.shape[1], dtype=np.int64)[::-1]
+        _, example, pattern_of = np.unique(
+            pattern_of * 2 ** chunk.shape[1] + chunk @ bits, return_index=True, return_inverse=True
+        )
+    order = np.argsort(pattern_of, kind="stable")
+    groups = np.split(order, np.cumsum(np.bincount(pattern_of))[:-1])
+    for pattern, points in zip(visible[example], groups, strict=True):
         m = int(pattern.sum())
         yield np.flatnonzero(pattern), points, observations.xy[start[points][:, None] + np.arange(m)].reshape(-1, 2 * m)
 

@@ -61,7 +61,7 @@ class FullObjectModel:
         every = np.concatenate([derivatives @ rotated[:, None], by_rotation], axis=1)
         return matrices @ rotated, every, translations
 
-    def covariance(self, hessian: FloatArray) -> FloatArray:
+    def covariance(self, hessian: FloatArray, parameters: FloatArray) -> FloatArray:  # noqa: ARG002
         """Return the inverse of the normal matrix."""
         return inverted(hessian)
 
@@ -134,7 +134,9 @@ def _axis_and_sense(
 ) -> tuple[float, float]:
     """Return the direction of the tilt axis and the sense of the rotation under which the tracks agree best."""
     patterns = pattern_scatters(observations, len(tilt), np.ones(observations.n_points)).strongest(_MOST_PATTERNS)
-    axes = np.arange(_AXIS_STEPS) * 2 * np.pi / _AXIS_STEPS
+    # Half a turn alone, that of the conventions: with the axis reversed every tilt is, and the images of the mirrored
+    # object are the same.
+    axes = -np.pi / 4 + np.arange(1, _AXIS_STEPS + 1) * np.pi / _AXIS_STEPS
     senses = (1.0, -1.0)
     turned = tilted_cam_from_world(axes[:, None], tilt, np.zeros(len(tilt)))
     matrices = np.stack(

@@ -32,8 +32,8 @@ class MotionModel(Protocol):
         """Return camera matrices (V, 2, 3), d matrix / d (L parameters) (V, L, 2, 3) and translations (V, 2)."""
         ...
 
-    def covariance(self, hessian: FloatArray) -> FloatArray:
-        """Return the covariance of the parameters for the normal matrix at the bottom.
+    def covariance(self, hessian: FloatArray, parameters: FloatArray) -> FloatArray:
+        """Return the covariance of the parameters for the normal matrix at the bottom, where they are.
 
         Raises
         ------
@@ -60,21 +60,63 @@ class TiltSeriesModel:
         """Return camera matrices, their derivatives and translations, see `camera_jacobians`."""
         return camera_jacobians(parameters, self._prior.scale_px_per_um)
 
-    def covariance(self, hessian: FloatArray) -> FloatArray:
-        """Return the inverse of the normal matrix, with the error of a larger anisotropy added.
+    def covariance(self, hessian: FloatArray, parameters: FloatArray) -> FloatArray:
+        """Return the inverse of the normal matrix, averaged over what the anisotropy's sigma may be.
 
-        That is one `anisotropy_reach` times as large as the estimate takes it to be:
-        H^-1 (H + (reach^2 - 1) / sigma^2 on the anisotropies) H^-1.
+        Where sigmas and weights were learnt, it is the second moment of the mixture of all about `parameters`.
         """
-        inverse = inverted(hessian)
-        by_anisotropy = inverse[:, 4::PARAMETERS_PER_VIEW]
-        excess = (self._prior.anisotropy_reach**2 - 1) / self._prior.anisotropy_sigma**2
-        covariance: FloatArray = inverse + excess * by_anisotropy @ by_anisotropy.T
-        return covariance
+        prior = self._prior
+        if not len(prior.anisotropy_sigmas):
+            return inverted(hessian)
+        shift, covariance, _ = by_anisotropy_sigma(
+            hessian, parameters[4::PARAMETERS_PER_VIEW], prior.anisotropy_sigma, prior.anisotropy_sigmas
+        )
+        mixed: FloatArray = np.tensordot(prior.anisotropy_weights, covariance, 1)
+        mixed += (shift * prior.anisotropy_weights[:, None]).T @ shift
+        return mixed
+
+
+def by_anisotropy_sigma(
+    hessian: FloatArray, anisotropy: FloatArray, sigma: float, others: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return how parameters, covariance and evidence change where the anisotropy has another sigma.
+
+    At the bottom the cost is a parabola, so nothing need be adjusted again.
+
+    Parameters
+    ----------
+    hessian : (N, N) float array
+        At the bottom for `sigma`, N = 1 + 6 V.
+    anisotropy : (V,) float array
+        At that bottom.
+    sigma : float
+    others : (S,) float array
+
+    Returns
+    -------
+    shift, covariance, log_evidence : (S, N), (S, N, N) and (S,) float arrays
+        Steps to the other bottoms, the inverse normal matrices there, and the logarithms of the probability of the data
+        with all parameters integrated out, up to a constant.
+
+    Raises
+    ------
+    DegenerateGeometryError
+        When a normal matrix is singular.
+    """
+    at = np.arange(4, len(hessian), PARAMETERS_PER_VIEW)
+    change = others**-2.0 - sigma**-2.0
+    hessians = np.tile(hessian, (len(others), 1, 1))
+    hessians[:, at, at] += change[:, None]
+    covariance = inverted(hessians)
+    shift = -change[:, None] * (covariance[:, :, at] @ anisotropy)
+    moved = anisotropy + shift[:, at]
+    cost = np.einsum("sk,kl,sl->s", shift, hessian, shift) + change * (moved**2).sum(axis=1)
+    _, log_determinant = np.linalg.slogdet(hessians)
+    return shift, covariance, -0.5 * (cost + log_determinant) - len(at) * np.log(others)
 
 
 def inverted(hessian: FloatArray) -> FloatArray:
-    """Return the inverse of a normal matrix.
+    """Return the inverse of a normal matrix, or of a stack of them.
 
     Raises
     ------

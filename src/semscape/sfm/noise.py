@@ -12,23 +12,26 @@ from semscape.types import FloatArray, Observations
 _INLIER_WEIGHT = 0.2
 _CELLS = 4
 _LEAST_PER_CELL = 10
+_LEAST_LENGTH = 2
 
 
-def noise_sigma_px(residual_px: FloatArray, observations: Observations) -> float:
+def noise_sigma_px(residual_px: FloatArray, observations: Observations, weights: FloatArray) -> float:
     """Estimate the noise of one coordinate from the residuals (K, 2), robustly.
 
     A track of m views leaves 2 m - 3 of its 2 m residuals free, the rest is absorbed by its point: its squared
-    residuals sum to sigma^2 times a chi-square of so many degrees of freedom. Medians over the tracks of each length
-    keep outliers out.
+    residuals sum to sigma^2 times a chi-square of so many degrees of freedom. Observations of small weight (K,), which
+    no longer pull at their points, are left out: of long tracks most hold an outlier. Medians over the tracks of each
+    length keep out those that are left.
     """
-    squared = np.bincount(observations.point, (residual_px**2).sum(axis=1))
-    length = np.bincount(observations.point)
+    inlier = weights > _INLIER_WEIGHT
+    length = np.bincount(observations.point[inlier])
+    squared = np.bincount(observations.point[inlier], (residual_px[inlier] ** 2).sum(axis=1))
     total = tracks = 0.0
-    for m in np.unique(length):
+    for m in np.unique(length[length >= _LEAST_LENGTH]):
         of_length = squared[length == m]
         total += len(of_length) * float(np.median(of_length)) / float(chi2.median(2 * m - 3))
         tracks += len(of_length)
-    return max(math.sqrt(total / tracks), 1e-3)
+    return max(math.sqrt(total / max(tracks, 1.0)), 1e-3)
 
 
 def free_share(observations: Observations) -> FloatArray:

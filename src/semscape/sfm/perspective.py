@@ -21,6 +21,7 @@ Refit = Callable[[FloatArray, Observations], Adjustment]
 CamerasAt = Callable[[FloatArray, float], tuple[tuple[ScaledOrthographicCamera, ...], tuple[PerspectiveCamera, ...]]]
 _ROUNDS = 3
 _PARABOLAS = 6
+_DOUBLINGS = 12
 
 
 @dataclass(frozen=True)
@@ -85,9 +86,18 @@ def fit_perspective(
 
     unit = 1e-6 / float(np.ptp(parallel.points_um[:, :2]))
     step = unit * 3 * sigma_px / float(np.sqrt(np.mean(correction(parallel, unit) ** 2)))
-    best, found = 0.0, parallel
-    corrected, found, cost = fitted(best, found)
-    cost_of_parallel = cost
+    corrected, found, cost_of_parallel = fitted(0.0, parallel)
+    best, cost = 0.0, cost_of_parallel
+    # Far from the bottom the robust cost is no parabola: walk downhill in growing steps first.
+    beside = {sign: fitted(sign * step, found) for sign in (-1, 1)}
+    down = min(beside, key=lambda sign: beside[sign][2])
+    place, there = down * step, beside[down]
+    for _ in range(_DOUBLINGS):
+        if there[2] >= cost:
+            break
+        best, (corrected, found, cost) = place, there
+        place *= 2
+        there = fitted(place, found)
     for _ in range(_PARABOLAS):
         below, above = (fitted(best + sign * step, found)[2] for sign in (-1, 1))
         curvature = (below - 2 * cost + above) / step**2
@@ -96,7 +106,7 @@ def fit_perspective(
         move = (below - above) / (2 * step) / curvature
         best += move
         corrected, found, cost = fitted(best, found)
-        if abs(move) < step:
+        if abs(move) < step / 10:
             break
     n_free = 2 * len(observations.view) - 3 * observations.n_points
     margin = cost_of_parallel - cost - float(np.log(max(n_free / overdispersion, 1.0)))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from semscape.errors import BadInputError, DegenerateGeometryError
 from semscape.sfm.eliminated import PatternScatters, eliminated_cost, projection_matrices
 from semscape.sfm.priors import MotionPrior
-from semscape.types import FloatArray, Observations, TiltSeries
+from semscape.types import BoolArray, FloatArray, Observations, TiltSeries
 
 _LEAST_PARALLAX_PX = 0.5
 _PARALLAX_OVER_NOISE = 2.0
@@ -16,6 +18,12 @@ _LEAST_TILT_SPAN_DEG = 0.2
 _WIDE_HEIGHT_SCALE = 0.05
 _CONTRADICTION_IN_SIGMAS = 3.0
 _WORSE_THAN_FREE = 1.4
+# Of the precision of a reading; less is not known to come from the images.
+_LEAST_TOLD_BY_IMAGES = 0.1
+# Tilts that images alone give err by so much of their range, and their scale by so much.
+_OWN_TILT_ERROR = 0.07
+_LARGEST_RESCALE = 1.6
+_MISTYPED = "mistyped tilt, wrong sign or swapped files?"
 _WIDEST_FIELD = 0.05
 _HIGHEST_RELIEF = 0.005
 
@@ -72,7 +80,10 @@ def require_parallax(series: TiltSeries, observations: Observations, prior: Moti
         "picture, the specimen is flat, or the tilts are too small"
     )
     if prior.self_calibrated:
-        raise DegenerateGeometryError(f"{finding}; give the stage tilts (--tilts) or tilt farther")
+        raise DegenerateGeometryError(
+            f"{finding}; from such images no tilt can be found (self-calibration is impossible): give the stage tilts "
+            "(--tilts) or tilt farther"
+        )
     return [finding]
 
 
@@ -113,13 +124,15 @@ def height_scale_warnings(height_scale_sigma: float, prior: MotionPrior) -> list
     return [f"height scale known to +-{196 * height_scale_sigma:.0f} % (95 %) only: {reason}"]
 
 
-def perspective_warnings(series: TiltSeries, height_um: FloatArray) -> list[str]:
+def perspective_warnings(series: TiltSeries, tilt_rad: FloatArray, height_um: FloatArray) -> list[str]:
     """Warn where the projection is no longer parallel: a wide field or a high relief for its working distance.
 
     Parameters
     ----------
     series : TiltSeries
         With pixel sizes and working distances; without them nothing can be told.
+    tilt_rad : (V,) float array
+        Tilts: they make one side of the field the farther one.
     height_um : (P,) float array
         Heights of the points.
     """
@@ -131,14 +144,23 @@ def perspective_warnings(series: TiltSeries, height_um: FloatArray) -> list[str]
     relief = float(np.ptp(np.percentile(height_um, [0.5, 99.5]))) / distance_um
     if field <= _WIDEST_FIELD and relief <= _HIGHEST_RELIEF:
         return []
+    bend_px = field * max(series.shape) / 4 * float(np.sin(np.ptp(tilt_rad) / 2))
     return [
         f"perspective matters: field of view / working distance is {field:.3f} (limit {_WIDEST_FIELD}), relief "
-        f"/ working distance {relief:.4f} (limit {_HIGHEST_RELIEF}); the parallel projection bends the surface. "
-        "Take the series at a higher magnification or a longer working distance"
+        f"/ working distance {relief:.4f} (limit {_HIGHEST_RELIEF}); parallel projection is off by up to "
+        f"{bend_px:.1f} px and bends the surface. Run again with --camera auto, or take the series at a higher "
+        "magnification or a longer working distance"
     ]
 
 
-def prior_contradictions(names: tuple[str, ...], parameters: FloatArray, prior: MotionPrior) -> list[str]:
+def prior_contradictions(
+    names: tuple[str, ...],
+    parameters: FloatArray,
+    tilt_sigma_rad: FloatArray,
+    prior: MotionPrior,
+    *,
+    tilts_doubted: bool,
+) -> list[str]:
     """Name what the images found more than 3 sigma away from what was told or is usual.
 
     Wrong or swapped tilts and a wrong axis leave a low residual: the motion bends to them. It shows in tilts, rolls,
@@ -149,7 +171,11 @@ def prior_contradictions(names: tuple[str, ...], parameters: FloatArray, prior: 
     names : V file names
     parameters : (1 + 6 V,) float array
         In the order of `Adjustment.parameters`, before any choice of sign.
+    tilt_sigma_rad : (V,) float array
+        Of the tilts among them.
     prior : MotionPrior
+    tilts_doubted : bool
+        The tilts are found wrong already: then they have bent the motion, and single ones are not judged by it.
     """
     found = []
     axis_change = _turn(parameters[0] - prior.axis_angle_rad)
@@ -161,14 +187,8 @@ def prior_contradictions(names: tuple[str, ...], parameters: FloatArray, prior: 
     centre, sigma = prior.centre_and_sigma()
     per_view = parameters[1:].reshape(prior.n_views, -1)[:, :4]
     deviation = (per_view - centre[1:].reshape(-1, 4)) / sigma[1:].reshape(-1, 4)
-    if prior.self_calibrated:
-        deviation[:, 0] = 0.0
-    for view, (name, row) in enumerate(zip(names, deviation, strict=True)):
-        if abs(row[0]) > _CONTRADICTION_IN_SIGMAS:
-            found.append(
-                f"{name}: the stage says {np.rad2deg(prior.tilt_rad[view]):.2f} deg, the images say "
-                f"{np.rad2deg(per_view[view, 0]):.2f} deg; mistyped tilt, wrong sign or swapped files?"
-            )
+    if not (prior.self_calibrated or tilts_doubted):
+        found += _tilts_against_the_stage(names, per_view[:, 0], tilt_sigma_rad, prior)
     usual = [
         (1, "roll", "deg", np.rad2deg(1.0), prior.roll_sigma_rad),
         (2, "scale drift", "%", 100.0, prior.scale_sigma),
@@ -185,25 +205,83 @@ def prior_contradictions(names: tuple[str, ...], parameters: FloatArray, prior: 
     return found
 
 
+def _tilts_against_the_stage(
+    names: tuple[str, ...], tilt_rad: FloatArray, sigma_rad: FloatArray, prior: MotionPrior
+) -> list[str]:
+    """Name the views whose stage tilt lies more than 3 sigma from what all else says of it.
+
+    A posterior is the mean of the reading and all else, weighted by their precisions: so all else can be had back.
+    """
+    told = np.flatnonzero(np.isfinite(prior.tilt_sigma_rad))
+    reading, trust = prior.tilt_rad[told], prior.tilt_sigma_rad[told]
+    # Where all else tells next to nothing, its precision is a difference of rounding errors.
+    precision = np.maximum(sigma_rad[told] ** -2 - trust**-2, (_LEAST_TOLD_BY_IMAGES / trust) ** 2)
+    otherwise = reading + (tilt_rad[told] - reading) * (1 + trust**-2 / precision)
+    sigma = precision**-0.5
+    beyond = np.abs(otherwise - reading) > _CONTRADICTION_IN_SIGMAS * np.hypot(sigma, trust)
+    stage, rest = (
+        [f"{tilt:.2f} +- {error:.2g} deg" for tilt, error in np.rad2deg(np.column_stack(pair)).tolist()]
+        for pair in ((reading, trust), (otherwise, sigma))
+    )
+    return [
+        f"{names[told[index]]}: the stage says {stage[index]}, the images and the other tilts say {rest[index]}; "
+        f"{_MISTYPED}"
+        for index in np.flatnonzero(beyond)
+    ]
+
+
 def stage_contradictions(
-    patterns: PatternScatters, found: FloatArray, unbound: FloatArray, n_free: int, prior: MotionPrior
+    names: tuple[str, ...],
+    patterns: PatternScatters,
+    found: FloatArray,
+    unbound: FloatArray,
+    n_free: int,
+    prior: MotionPrior,
 ) -> list[str]:
     """Compare the best motion near the stage's tilts with the best of all, both (1 + 4 V,) as searched.
 
-    Tilts in the wrong order, or about a wrong axis, explain the images clearly worse than the images' own. `n_free` is
-    the number of residuals that the points leave free.
+    Tilts in the wrong order, or about a wrong axis, explain the images clearly worse than the images' own. Where most
+    of the told ones agree with those, up to a common turn and the height scale, the others are named. `n_free` is the
+    number of residuals that the points leave free.
     """
     parameters = np.stack([found, unbound])
     error = eliminated_cost(projection_matrices(parameters, prior.scale_px_per_um), patterns)
     bound_px, free_px = np.sqrt(error / max(n_free, 1))
     if bound_px < _WORSE_THAN_FREE * free_px:
         return []
-    told = ", ".join(f"{tilt:.1f}" for tilt in np.rad2deg(prior.tilt_rad))
-    own = ", ".join(f"{tilt:.1f}" for tilt in np.rad2deg(unbound[1::4]))
-    return [
-        f"the tilts {told} deg leave {bound_px:.2f} px of residual, where the images alone fit to {free_px:.2f} px "
-        f"with about {own} deg (or the opposite signs): tilts in the wrong order, swapped files or a wrong axis?"
+    reading, own = np.rad2deg(prior.tilt_rad), np.rad2deg(unbound[1::4])
+    fitted = _own_as_told(reading, own, float(np.rad2deg(np.nanmin(prior.tilt_sigma_rad))))
+    named = [
+        f"{name}: the stage says {said:.1f} deg, the images say about {seen:.1f} deg; {_MISTYPED}"
+        for name, said, seen, agrees in zip(names, reading, *fitted, strict=True)
+        if not agrees
     ]
+    told_text, own_text = (", ".join(f"{tilt:.1f}" for tilt in tilts) for tilts in (reading, own))
+    return [
+        *named,
+        f"the tilts {told_text} deg leave {bound_px:.2f} px of residual, where the images alone fit to {free_px:.2f} "
+        f"px with about {own_text} deg (or the opposite signs): tilts in the wrong order, swapped files or a wrong "
+        "axis?",
+    ]
+
+
+def _own_as_told(told_deg: FloatArray, own_deg: FloatArray, sigma_deg: float) -> tuple[FloatArray, BoolArray]:
+    """Bring the images' own tilts (V,) to the told ones by the turn and the scale on which most agree.
+
+    Returns them so, and which agree; all are said to where no majority does, for then nobody can say which ones err.
+    """
+    tolerance = _CONTRADICTION_IN_SIGMAS * sigma_deg + _OWN_TILT_ERROR * float(np.ptp(own_deg))
+    best, agreed = told_deg, np.ones(len(told_deg), dtype=bool)
+    most = max(len(told_deg) // 2, 2)
+    for i1, i2 in combinations(range(len(told_deg)), 2):
+        scale = (told_deg[i2] - told_deg[i1]) / (own_deg[i2] - own_deg[i1] or np.inf)
+        if not 1 / _LARGEST_RESCALE < abs(scale) < _LARGEST_RESCALE:
+            continue
+        as_told = told_deg[i1] + scale * (own_deg - own_deg[i1])
+        agree = ~(np.abs(as_told - told_deg) > tolerance)
+        if agree.sum() > most:
+            best, agreed, most = as_told, agree, int(agree.sum())
+    return best, agreed
 
 
 def _turn(angle_rad: float) -> float:

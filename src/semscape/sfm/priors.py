@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,8 +20,9 @@ class MotionPrior:
     """Normal priors of a motion's parameters; an infinite sigma means free.
 
     `tilt_rad`, `tilt_sigma_rad`, `scale_px_per_um` are (V,). The tilt of view `reference` is always bound, for
-    without any stage tilt a common turn about the axis is a matter of choice. `anisotropy_reach` is how many times
-    larger than `anisotropy_sigma`, which the estimate trusts, the covariance takes the anisotropy to be.
+    without any stage tilt a common turn about the axis is a matter of choice. The estimate rests on `anisotropy_sigma`;
+    where it was learnt, `anisotropy_sigmas` (S,) are all that were weighed and `anisotropy_weights` (S,) their
+    probabilities, over which the covariance is averaged.
     """
 
     tilt_rad: FloatArray
@@ -34,7 +35,15 @@ class MotionPrior:
     scale_px_per_um: FloatArray
     max_tilt_rad: float
     reference: int
-    anisotropy_reach: float = 1.0
+    anisotropy_sigmas: FloatArray = field(default_factory=lambda: np.empty(0))
+    anisotropy_weights: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def expected_anisotropy(self) -> float:
+        """Root mean square of the anisotropy that is to be expected, over all sigmas that were weighed."""
+        if not len(self.anisotropy_sigmas):
+            return self.anisotropy_sigma
+        return float(np.sqrt(self.anisotropy_weights @ self.anisotropy_sigmas**2))
 
     @property
     def n_views(self) -> int:

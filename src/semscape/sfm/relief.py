@@ -49,7 +49,7 @@ def relief_vote(view: Micrograph, xy: FloatArray, height: FloatArray) -> tuple[f
     confidence : float
         Probability in [0.5, 1) that its sign is right, with one independent vote per neighbourhood.
     """
-    if len(xy) < 2 * _NEIGHBOURS:
+    if len(xy) < 2 * _NEIGHBOURS or not np.ptp(view.image[view.mask]):
         return 0.0, 0.5
     distance, neighbour = cKDTree(xy).query(xy, k=_NEIGHBOURS)
     radius = distance[:, -1]

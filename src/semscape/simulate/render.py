@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from semscape.geometry.rotations import tilted_cam_from_world
+from semscape.geometry.rotations import roll_rotation, tilted_cam_from_world
 from semscape.simulate.camera import ScanCamera
 from semscape.simulate.detectors import Segment, se_direction, segments_of
 from semscape.simulate.mesh import MeshSpecimen
@@ -60,7 +60,11 @@ class Scene:
 
 
 def render_signal(
-    scene: Scene, camera: ScanCamera, axis_tilt_rad: tuple[float, float], line_offsets_px: FloatArray
+    scene: Scene,
+    camera: ScanCamera,
+    axis_tilt_rad: tuple[float, float],
+    line_offsets_px: FloatArray,
+    rotation_rad: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Render the noise-free signal of one view.
 
@@ -74,6 +78,8 @@ def render_signal(
         Axis angle and tilt: they turn the detector against the specimen.
     line_offsets_px : (H, 2) float array
         Where the beam lands relative to the pixel, per scan line.
+    rotation_rad : float
+        Rotation of the stage, before the tilt.
 
     Returns
     -------
@@ -85,7 +91,7 @@ def render_signal(
     options = scene.options
     height, width, samples = options.height_px, options.width_px, options.samples
     # The lab's frame is the camera's at zero roll: no detector follows a turn of the image between the views.
-    world_from_lab = tilted_cam_from_world(*axis_tilt_rad, 0.0).T
+    world_from_lab = (tilted_cam_from_world(*axis_tilt_rad, 0.0) @ roll_rotation(rotation_rad)).T
     sub = (np.arange(samples) + 0.5) / samples - 0.5
     x = (np.arange(width)[:, None] + sub).ravel()
     surface = scene.surface  # made once, before the threads ask for it

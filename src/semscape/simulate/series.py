@@ -178,7 +178,7 @@ def acquire(
             )
         specimen = SPECIMENS[specimen](specimen_size(options, cameras), faults.stream(seed, "specimen"))
     scene = Scene(specimen, options, os.cpu_count() or 1 if workers is None else workers)
-    every = _micrographs(scene, motion, cameras, seed)
+    every = micrographs(scene, motion, cameras, seed)
     truth = _truth(scene, motion, stage, skew, cameras, seed)
     return Acquisition(every[0], truth, every[1:])
 
@@ -220,8 +220,12 @@ def _truth(
     )
 
 
-def _micrographs(scene: Scene, motion: Motion, cameras: tuple[ScanCamera, ...], seed: int) -> tuple[TiltSeries, ...]:
+def micrographs(
+    scene: Scene, motion: Motion, cameras: tuple[ScanCamera, ...], seed: int, rotation_rad: float = 0.0
+) -> tuple[TiltSeries, ...]:
     """Render every view, expose the series as a whole, and add each view's faults.
+
+    `rotation_rad` is how far the stage has rotated the specimen, which the cameras' rotations hold already.
 
     Returns the series, and for several segments behind it, whose mean it is, those of the segments.
     """
@@ -229,7 +233,7 @@ def _micrographs(scene: Scene, motion: Motion, cameras: tuple[ScanCamera, ...], 
     signals = []
     for view, camera in enumerate(cameras):
         pose = motion.axis_angle_rad, float(motion.tilt_rad[view])
-        signal, depth = render_signal(scene, camera, pose, faults.scan_offsets(options, seed, view))
+        signal, depth = render_signal(scene, camera, pose, faults.scan_offsets(options, seed, view), rotation_rad)
         depth_px = depth / options.pixel_size_um
         signals.append(np.stack([faults.blur_beam(channel, depth_px, options) for channel in signal]))
     reference = signals[int(np.argmin(np.abs(motion.tilt_rad)))]

@@ -62,8 +62,9 @@ export const COLOUR_BAR_PX = 88;
 /** Draw a vertical colour bar against the right edge; its height follows the view's. */
 export function drawColourBar(pen: CanvasRenderingContext2D, ink: Ink, colouring: Colouring, width: number, height: number): void {
   if (colouring.by === "micrograph" || height < 150) return;
-  const length = Math.min(240, height - 90);
-  const top = (height - length) / 2;
+  // Above the buttons in the corner.
+  const length = Math.min(240, height - 140);
+  const top = Math.max(40, (height - length) / 2 - 20);
   const thick = 12;
   const x = width - 18 - thick;
   for (let row = 0; row < length; row++) {

@@ -23,6 +23,7 @@ interface Header {
   height_bytes: number;
   sigma_origin: number;
   sigma_ratio: number;
+  reasons?: Record<number, string>;
   height_scale_relative_sigma: number | null;
   cameras: {
     name: string;
@@ -52,8 +53,8 @@ export async function decodeSurface(bytes: ArrayBuffer): Promise<Surface> {
     const packed = plane(name);
     return packed ? inflate(packed) : new Uint8Array(0);
   };
-  const [heightBytes, sigmaBytes, viewBytes, pointBytes] = await Promise.all(
-    ["height", "sigma", "n_views", "points"].map(inflated),
+  const [heightBytes, sigmaBytes, viewBytes, pointBytes, reasonBytes] = await Promise.all(
+    ["height", "sigma", "n_views", "points", "reason"].map(inflated),
   );
   const { rows, cols } = header;
   const sigmaCode = undelta(sigmaBytes, cols);
@@ -72,6 +73,8 @@ export async function decodeSurface(bytes: ArrayBuffer): Promise<Surface> {
       code < 2 ? NaN : header.sigma_origin * header.sigma_ratio ** (code - 2),
     ),
     nViews: undelta(viewBytes, cols),
+    reason: reasonBytes.length ? undelta(reasonBytes, cols) : null,
+    reasonNames: header.reasons ?? {},
     micrograph: image ? new Blob([image as BlobPart], { type: "image/jpeg" }) : null,
     heightScaleRelativeSigma: header.height_scale_relative_sigma,
     cameras: header.cameras.map((camera) => ({

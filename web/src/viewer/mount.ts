@@ -149,10 +149,11 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
     const sigma = sigmaAt(surface, cursor);
     const zDecimals = sigma > 0 ? Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(sigma)))) : decimals + 1;
     const known = Number.isFinite(z);
+    const why = surface.reason ? surface.reasonNames[surface.reason[i]] : undefined;
     const parts: [string, string][] = [
       ["x", `${fixed(x, decimals)} ${sign}`],
       ["y", `${fixed(y, decimals)} ${sign}`],
-      ["z", known ? `${fixed(worldZ, zDecimals)} ± ${sigma > 0 ? sigma.toFixed(zDecimals) : "?"} ${sign}` : "unknown"],
+      ["z", known ? `${fixed(worldZ, zDecimals)} ± ${sigma > 0 ? sigma.toFixed(zDecimals) : "?"} ${sign}` : why ? `unknown (${why})` : "unknown"],
     ];
     if (known && facts.mostViews) parts.push(["views", String(surface.nViews[i])]);
     parts.push(["px", `${cursor.x * surface.stride}, ${cursor.y * surface.stride}`]);

@@ -216,7 +216,7 @@ export function cameraPlace(rotation: number[]): Vector3 {
 export function sparsePoints(xyz: Float32Array, colour: string): Points {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(xyz, 3));
-  const material = new PointsMaterial({ color: new Color(colour), size: 3, sizeAttenuation: false });
+  const material = new PointsMaterial({ color: new Color(colour), size: 2, sizeAttenuation: false });
   const points = new Points(geometry, material);
   points.frustumCulled = false;
   return points;

@@ -18,9 +18,10 @@ uniform float lift;
 uniform float pointSize;
 uniform mat4 modelViewMatrix;
 uniform mat4 projectionMatrix;
-out vec2 place;
+// "centroid": where a triangle covers a part of a pixel, the middle of the pixel may lie far outside a thin one.
+centroid out vec2 place;
 flat out vec2 corner;
-out float value;
+centroid out float value;
 void main() {
   ivec2 at = min(ivec2(tile) + ivec2(position) * stride, size - 1);
   value = texelFetch(heights, at, 0).r;
@@ -35,9 +36,9 @@ export const SURFACE_FRAGMENT = `
 precision highp float;
 precision highp int;
 precision highp sampler2D;
-in vec2 place;
+centroid in vec2 place;
 flat in vec2 corner;
-in float value;
+centroid in float value;
 uniform ivec2 size;
 uniform int stride;
 uniform sampler2D triangles;

@@ -30,6 +30,10 @@ export interface Surface {
   sigmaOfCode: Float32Array;
   /** Views that agree on each height. */
   nViews: Uint8Array;
+  /** Why each height is unknown, 0 where it is known; null where nothing tells. */
+  reason: Uint8Array | null;
+  /** What the codes of `reason` mean. */
+  reasonNames: Record<number, string>;
   /** The reference micrograph on the surface, as a JPEG, or null. */
   micrograph: Blob | null;
   /** Relative sigma that all heights share, null where it is unknown. */

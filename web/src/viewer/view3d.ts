@@ -233,11 +233,15 @@ export class View3D {
     const triangles = this.renderPasses(this.movingStride());
     this.annotate();
     this.onPicture("moving", triangles);
-    // What is drawn now is on the screen when the next frame begins.
-    requestAnimationFrame(() => requestAnimationFrame(() => this.drawn()));
-    if (this.fineStride() < this.movingStride()) {
-      this.still = window.setTimeout(() => void this.drawStill(++this.job), STILL_AFTER_MS);
-    } else this.onPicture("still", triangles);
+    const job = this.job;
+    void this.finished().then(() => {
+      // What is drawn now is on the screen when the next frame begins.
+      requestAnimationFrame(() => this.drawn());
+      if (job !== this.job) return;
+      if (this.fineStride() < this.movingStride()) {
+        this.still = window.setTimeout(() => void this.drawStill(++this.job), STILL_AFTER_MS);
+      } else this.onPicture("still", triangles);
+    });
   }
 
   /** Draw at full resolution, a slice for each frame, and show the picture when it is complete. */
@@ -256,7 +260,7 @@ export class View3D {
         const slice = tiles.slice(done, done + 2 * perSlice);
         this.renderSurface(slice, stride, camera, target);
         done += slice.length;
-        await new Promise((resolve) => requestAnimationFrame(resolve));
+        await this.finished();
         if (job !== this.job) return;
         const spent = performance.now() - start;
         perSlice = Math.round(Math.min(512, Math.max(8, perSlice * Math.min(2, Math.max(0.5, SLICE_MS / spent)))));
@@ -266,6 +270,16 @@ export class View3D {
     }
     this.show(passes.length);
     this.onPicture("still", triangles);
+  }
+
+  /** Wait until the graphics card has drawn all that it was told: or slices would queue up before what comes next. */
+  private async finished(): Promise<void> {
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    do await new Promise((resolve) => requestAnimationFrame(resolve));
+    while (fence && !this.disposed && gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.UNSIGNALED);
+    gl.deleteSync(fence);
   }
 
   /** Render all passes at once and show them; returns the number of triangles (or dots). */

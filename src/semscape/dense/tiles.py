@@ -1,0 +1,174 @@
+"""Large fields in tiles with overlap: each tile is a small series of crops, and its core goes into the whole map.
+
+Time and memory of the dense stage so follow the tile, whatever the size of the images. The tiles' places follow from
+the images and the options alone: nothing depends on how many are computed side by side, or where.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise, product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from semscape.dense.reasons import unknown_reasons
+from semscape.dense.rectify import grid_pixel_size_um
+from semscape.dense.refine import without_islands
+from semscape.dense.sampling import common_parallax
+from semscape.dense.specimen import with_specimen
+from semscape.dense.surface import DenseSurface, choose_pairs, dense_surface
+from semscape.geometry.cameras import camera_matrices
+from semscape.options import DenseOptions
+from semscape.types import FloatArray, HeightMap, ImageArray, Reason, Reconstruction, TiltSeries
+
+# Beyond a tile's core: the widest window of the refinement reaches 40 px, the paths of matching about as far again.
+_OVERLAP_PX = 80
+
+Mapper = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
+# Height, uncertainty, number of views, texture and reason.
+_Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, NDArray[np.uint8]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Tile:
+    """A series of crops with its reconstruction; `core` are the rows and columns of its map that count."""
+
+    series: TiltSeries
+    reconstruction: Reconstruction
+    core: tuple[slice, slice]
+
+
+def surface_in_tiles(
+    series: TiltSeries, reconstruction: Reconstruction, options: DenseOptions, *, mapper: Mapper = map
+) -> DenseSurface:
+    """Compute the height map of a calibrated series, a large one in tiles.
+
+    Parameters
+    ----------
+    series : TiltSeries
+    reconstruction : Reconstruction
+        Of the same views.
+    options : DenseOptions
+        No side of a tile's core is longer than `tile_px`; 0 is one tile, whatever its size.
+    mapper : callable
+        `map`, or one that runs the tiles side by side, in other processes if need be; the result does not depend on it.
+
+    Raises
+    ------
+    DegenerateGeometryError
+        When no two views differ enough in tilt.
+    """
+    rows, columns = (_edges(size, options.tile_px) for size in series.shape)
+    if len(rows) == len(columns) == 2:
+        found = dense_surface(series, reconstruction, options, mapper=mapper)
+        reason = unknown_reasons(series, reconstruction, found.height_map)
+        return replace(found, height_map=with_specimen(replace(found.height_map, reason=reason), options.keep))
+    places = [(slice(*r), slice(*c)) for r, c in product(pairwise(rows), pairwise(columns))]
+    tiles = _cut(series, reconstruction, places)
+    height_map = _stitched(series, reconstruction, places, mapper(partial(_core, options), tiles))
+    pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
+    return DenseSurface(with_specimen(height_map, options.keep), tuple(pairs))
+
+
+def _stitched(
+    series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[slice, slice]], cores: Iterable[_Planes]
+) -> HeightMap:
+    """Put the cores of all tiles into one map."""
+    pixel_size = grid_pixel_size_um(series, reconstruction)
+    height, uncertainty = np.full(series.shape, np.nan), np.full(series.shape, np.nan)
+    n_views, reason = np.zeros(series.shape, np.uint8), np.zeros(series.shape, np.uint8)
+    texture = np.full(series.shape, np.nan, np.float32)
+    for place, core in zip(places, cores, strict=True):
+        height[place], uncertainty[place], n_views[place], texture[place], reason[place] = core
+    # What stands alone in a tile may be small against the whole field.
+    _, parallax = common_parallax(camera_matrices(reconstruction.motion)[:, :, 2] * pixel_size)
+    before = np.isfinite(height)
+    height = without_islands(height / pixel_size, float(np.ptp(parallax))) * pixel_size
+    dropped = before & np.isnan(height)
+    uncertainty[dropped], texture[dropped], n_views[dropped] = np.nan, np.nan, 0
+    reason[dropped] = Reason.INCONSISTENT
+    grid = _world_from_grid(series.shape, pixel_size)
+    return HeightMap(height, uncertainty, n_views, texture, pixel_size, grid, series.length_unit, reason)
+
+
+def _edges(size: int, tile_px: int) -> list[int]:
+    """Return where the fewest parts of about equal length, none longer than `tile_px`, begin and end.
+
+    Examples
+    --------
+    >>> _edges(2000, 1024), _edges(2000, 0)
+    ([0, 1000, 2000], [0, 2000])
+    """
+    count = -(-size // tile_px) if tile_px else 1
+    return [size * k // count for k in range(count + 1)]
+
+
+def _cut(series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[slice, slice]]) -> list[_Tile]:
+    """Cut a series into tiles; each view's crop shows the core, its overlap and the parallax of all heights there."""
+    motion, pixel_size = reconstruction.motion, grid_pixel_size_um(series, reconstruction)
+    matrices = camera_matrices(motion)
+    world_from_grid = _world_from_grid(series.shape, pixel_size)
+    low, high = np.percentile(reconstruction.points_um[:, 2], [0.2, 99.8])
+
+    def seen(place: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
+        """Return the first and the last px (V, 2), x and y, that show a place in each view."""
+        rows, columns = ((part.start - _OVERLAP_PX, part.stop - 1 + _OVERLAP_PX) for part in place)
+        corners = np.array([(col, row, z, 1.0) for col, row, z in product(columns, rows, (low, high))])
+        xy = np.einsum("vij,nj->vni", matrices, corners @ world_from_grid[:3].T) + motion.translation_px[:, None]
+        return np.floor(xy.min(axis=1)), np.ceil(xy.max(axis=1))
+
+    boxes = [seen(place) for place in places]
+    width, height = (int(size) + 1 for size in np.max([last - first for first, last in boxes], axis=(0, 1)))
+    tiles = []
+    for place, (first, last) in zip(places, boxes, strict=True):
+        corner = (np.rint((first + last) / 2 - [(width - 1) / 2, (height - 1) / 2])).astype(np.int64)
+        top, left = ((part.start + part.stop - size) // 2 for part, size in zip(place, (height, width), strict=True))
+        centre = world_from_grid @ [left + (width - 1) / 2, top + (height - 1) / 2, 0.0, 1.0]
+        views = tuple(
+            replace(
+                view,
+                image=_crop(view.image, corner[i], (height, width), "edge"),
+                mask=_crop(view.mask, corner[i], (height, width), "constant"),
+            )
+            for i, view in enumerate(series.views)
+        )
+        moved = replace(motion, translation_px=motion.translation_px + matrices[:, :, :2] @ centre[:2] - corner)
+        points = reconstruction.points_um - [centre[0], centre[1], 0.0]
+        core = slice(place[0].start - top, place[0].stop - top), slice(place[1].start - left, place[1].stop - left)
+        tiles.append(_Tile(replace(series, views=views), replace(reconstruction, motion=moved, points_um=points), core))
+    return tiles
+
+
+def _crop(values: NDArray[Any], corner: NDArray[np.int64], shape: tuple[int, int], beyond: Any) -> NDArray[Any]:
+    """Return the part of an image that begins at `corner` (x, y); beyond the image as `np.pad` has it."""
+    inside, padding = [], []
+    for first, length, size in zip(corner[::-1], shape, values.shape, strict=True):
+        begin, end = (int(np.clip(edge, 0, size - 1 + k)) for k, edge in enumerate((first, first + length)))
+        end = max(end, begin + 1)
+        inside.append(slice(begin, end))
+        padding.append((max(begin - int(first), 0), max(int(first) + length - end, 0)))
+    part = values[tuple(inside)]
+    if not np.any(padding):
+        return part
+    return np.pad(part, padding, mode=beyond)[: shape[0], : shape[1]]
+
+
+def _core(options: DenseOptions, tile: _Tile) -> _Planes:
+    found = dense_surface(tile.series, tile.reconstruction, options).height_map
+    reason = unknown_reasons(tile.series, tile.reconstruction, found)
+    height, uncertainty, n_views, texture, why = (
+        np.ascontiguousarray(plane[tile.core])
+        for plane in (found.height_um, found.uncertainty_um, found.n_views, found.texture, reason)
+    )
+    return height, uncertainty, n_views, texture, why
+
+
+def _world_from_grid(shape: tuple[int, int], pixel_size: float) -> FloatArray:
+    rows, columns = shape
+    world_from_grid = np.diag([pixel_size, -pixel_size, 1.0, 1.0])
+    world_from_grid[:2, 3] = -pixel_size * (columns - 1) / 2, pixel_size * (rows - 1) / 2
+    return world_from_grid
