@@ -18,7 +18,7 @@ from semscape.io.simulated import write_simulated_series
 from semscape.simulate import PRESETS, simulate
 
 PICTURES = REPOSITORY / "docs" / "pictures"
-_COLOURS = 200
+_COLOURS = 256
 _RUN_MS = 300_000
 _ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
@@ -45,19 +45,21 @@ def _photograph(page: Page, images: list[Path]) -> None:
     page.wait_for_selector("tbody tr")
     page.get_by_role("button", name="Rename").click()
     page.get_by_role("heading", name="Pollen, 5 kV").wait_for()
-    page.wait_for_function("[...document.images].every(image => image.complete && image.naturalWidth)")
+    while not page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth)"):
+        page.wait_for_timeout(100)
     _keep(page, "app-table")
     page.get_by_role("button", name="Reconstruct", exact=True).click()
     page.wait_for_selector("canvas.preview", timeout=_RUN_MS)
     _keep(page, "app-progress")
     page.wait_for_selector(".sv-root canvas", timeout=_RUN_MS)
+    page.set_viewport_size({"width": 1200, "height": 1120})
     page.wait_for_timeout(2000)  # the full resolution comes when the view is still
     _keep(page, "app-result")
 
 
 def _keep(page: Page, name: str) -> None:
     with Image.open(io.BytesIO(page.screenshot())) as shot:
-        few = shot.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE)
+        few = shot.convert("RGB").quantize(_COLOURS, dither=Image.Dither.FLOYDSTEINBERG)
     path = PICTURES / f"{name}.png"
     few.save(path, optimize=True)
     print(f"{path.relative_to(REPOSITORY)}: {path.stat().st_size // 1000} kB")

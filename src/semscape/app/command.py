@@ -49,7 +49,7 @@ def run_app(
         from semscape.app.routes import Parts
         from semscape.app.run_queue import RunQueue
         from semscape.app.security import Access
-        from semscape.app.server import build_app
+        from semscape.app.server import AppServer, build_app
         from semscape.app.uploads import clear_partial_files
     except ModuleNotFoundError as error:
         if error.name is not None and error.name.startswith("semscape"):
@@ -76,7 +76,7 @@ def run_app(
                 timeout_graceful_shutdown=1,
                 ws="none",
             )
-            server = uvicorn.Server(config)
+            server = AppServer(config, parts.desk)
             say(f"runs are in {runs.folder}")
             say(f"open {access.address}")
             say("leave this window open; Ctrl-C ends the app, and runs that are not ready go on at its next start")

@@ -32,9 +32,13 @@ class Desk:
     def __enter__(self) -> Desk:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """End the processes for good; what they were asked for raises `WorkerLostError`."""
         for worker in self._workers:
             worker.close()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
         for worker in self._workers:
             worker.stop()
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from types import FrameType
 
+import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
+from semscape.app.desk import Desk
 from semscape.app.pages import page_routes
 from semscape.app.plain_words import plain_words
 from semscape.app.routes import Parts, result_routes, run_routes
@@ -21,6 +24,19 @@ from semscape.errors import SemscapeError
 
 _log = logging.getLogger(__name__)
 _STATUS = {UnknownRunError: 404, BusyRunError: 409, TooLargeError: 413}
+
+
+class AppServer(uvicorn.Server):
+    """Serves the app; when it is asked to end, it does not wait for what is being calculated."""
+
+    def __init__(self, config: uvicorn.Config, desk: Desk) -> None:
+        super().__init__(config)
+        self._desk = desk
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Begin to end, on Ctrl-C or SIGTERM."""
+        self._desk.close()
+        super().handle_exit(sig, frame)
 
 
 def build_app(parts: Parts, access: Access) -> FastAPI:
