@@ -50,6 +50,15 @@ def test_two_starts_have_nothing_in_common() -> None:
     assert len(first.token) >= 40
 
 
+def test_a_link_from_elsewhere_opens_the_page_by_way_of_itself(stranger: TestClient, access: Access) -> None:
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
+    del stranger.headers["Origin"]
+    assert stranger.get(f"/?token={access.token}", headers=link, follow_redirects=False).status_code == 303
+    stranger.cookies.clear()  # one of SameSite=Strict is kept, but not sent on such a way
+    assert "url=/" in stranger.get("/", headers=link).text
+    assert stranger.get("/", headers={"Sec-Fetch-Site": "same-origin"}).status_code == 401
+
+
 @pytest.mark.parametrize("host", ["evil.example:8765", "127.0.0.1", "127.0.0.1:80", "localhost:8766", ""])
 def test_a_name_that_only_leads_here_is_refused(client: TestClient, host: str) -> None:
     answer = client.get("/api/runs", headers={"Host": host})

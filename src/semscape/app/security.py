@@ -33,6 +33,10 @@ _CLOSED = """<!doctype html><html lang="en"><meta charset="utf-8"><title>semscap
 <body><main><h1>This page is closed</h1><p>Open the address that <code>semscape app</code> printed when it started. It
 holds a token that only you have; each start of the app makes a new one.</p></main></body></html>"""
 
+# Who comes by a link from elsewhere brings no cookie, but does on the way from this page to itself.
+_AGAIN = """<!doctype html><html lang="en"><meta charset="utf-8"><meta http-equiv="refresh" content="0; url=/">
+<title>semscape</title><body><a href="/">semscape</a></body></html>"""
+
 
 class Access:
     """The secrets of one start of the app.
@@ -117,8 +121,9 @@ class Guard:
         if scope["method"] not in _SAFE_METHODS and origin is None:
             return _problem(403, "a request that changes something must tell its origin")
         # An ordinary link from elsewhere may open the page; it brings no cookie, for that is of SameSite=Strict.
+        is_foreign = headers.get("sec-fetch-site", "none") not in ("same-origin", "none")
         is_link = headers.get("sec-fetch-mode") == "navigate" and scope["path"] == "/"
-        if headers.get("sec-fetch-site", "none") not in ("same-origin", "none") and not is_link:
+        if is_foreign and not is_link:
             return _problem(403, "the request comes from another page than semscape's own")
         if scope["path"] == "/" and scope["method"] == "GET":
             for part in scope["query_string"].decode("ascii", "replace").split("&"):
@@ -126,6 +131,8 @@ class Guard:
                 if name == "token" and (exchanged := access.exchanged(value)) is not None:
                     return exchanged
         if not access.knows(headers):
+            if is_foreign:
+                return HTMLResponse(_AGAIN)
             if scope["path"] == "/":
                 return HTMLResponse(_CLOSED, status_code=401)
             return _problem(401, "open the address that semscape app printed when it started: it holds a new token")
