@@ -2,7 +2,7 @@
 and the pair with a fixed threshold and a contrario.
 
 Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens, matching, viewer,
-report; the last two need a chromium.
+report, coverage, full-object; viewer and report need a chromium.
 """
 
 from __future__ import annotations
@@ -22,13 +22,17 @@ from PIL.Image import fromarray
 
 import semscape
 from chromium import CHROMIUM_FLAGS, find_chromium
+from full_object import all_around
 from isolated import REAL_SETS, REPOSITORY, absent, real_set_folder
 from semscape.experiments.matching import FIXED_THRESHOLDS_PX
 from semscape.experiments.matching_pairs import simulated_pair
 from semscape.experiments.study import Setting
+from semscape.pipeline import reconstruct_full_object
 from semscape.report.figures import hillshade_picture
+from semscape.report.full_object import sides_picture
 from semscape.report.hillshade import hillshade
 from semscape.report.html import render_html
+from semscape.report.unknown import coverage_picture
 from semscape.simulate import PRESETS, SPECIMENS, acquire, simulate
 from semscape.types import Result
 
@@ -42,6 +46,8 @@ _LARGE_BYTES = 400_000
 _COLOURS = 256
 _README_SPECIMEN = "pollen"
 _TILE_PX = 240
+_COVERAGE_PX = 400
+_FULL_OBJECT_PX = 320
 
 
 def draw_real(name: str) -> bytes:
@@ -132,6 +138,18 @@ def draw_specimens() -> bytes:
     return _png(fromarray(np.vstack(rows).astype(np.uint8)))
 
 
+def draw_coverage() -> bytes:
+    """Return where a simulated grain's heights are known from how many views, and why not elsewhere."""
+    options = replace(PRESETS["hard"], width_px=_COVERAGE_PX, height_px=_COVERAGE_PX)
+    return coverage_picture(semscape.reconstruct(simulate("pollen", options, rng=0)[0], rng=0).height_map)
+
+
+def draw_full_object() -> bytes:
+    """Return a simulated spiny sphere, merged from views all around, from four sides."""
+    found, *_ = reconstruct_full_object(all_around(_FULL_OBJECT_PX).series, rng=0)
+    return sides_picture(found.merged.mesh)
+
+
 def _side_by_side(result: Result) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -191,6 +209,8 @@ _SIMULATED = {
     "matching": draw_matching,
     "viewer": draw_viewer,
     "report": draw_report,
+    "coverage": draw_coverage,
+    "full-object": draw_full_object,
 }
 
 
