@@ -9,7 +9,7 @@ BUNDLE := src/semscape/web/digest.txt
 WEB_SOURCES := $(shell find web/src -type f) web/package-lock.json web/bundle_web.py
 
 .PHONY: help setup web web-check demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
-	simulator-speed clean
+	simulator-speed motion clean
 
 help:
 	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
@@ -21,6 +21,7 @@ help:
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
 	@echo "make benchmark      seconds per stage and of measuring, peak memory, tilt correction, as JSON"
+	@echo "make motion         the motion stage alone: accuracy, coverage, speed, repeatability; writes docs/motion.md"
 	@echo "make simulator-realism  simulated beside measured series: the table of docs/simulator.md"
 	@echo "make simulator-speed    seconds per simulated view, as JSON"
 	@echo "make docs-pictures  draw the pictures of docs/ again"
@@ -72,6 +73,11 @@ benchmark: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py
 	@$(BIN)/python benchmarks/metrology.py
 	@$(BIN)/python benchmarks/tilt_correction.py
+
+motion: $(STAMP)
+	@$(BIN)/python benchmarks/motion.py > .motion.json
+	@$(BIN)/python benchmarks/motion_tables.py .motion.json > docs/motion.md
+	@rm -f .motion.json
 
 simulator-realism: $(STAMP)
 	@$(BIN)/python benchmarks/simulator_realism.py

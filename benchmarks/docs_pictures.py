@@ -2,7 +2,7 @@
 and the pair with a fixed threshold and a contrario.
 
 Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens, matching, viewer,
-report; the last two need a chromium.
+report, coverage, full-object; viewer and report need a chromium.
 """
 
 from __future__ import annotations
@@ -22,13 +22,17 @@ from PIL.Image import fromarray
 
 import semscape
 from chromium import CHROMIUM_FLAGS, find_chromium
+from full_object import all_around
 from isolated import REAL_SETS, REPOSITORY, absent, real_set_folder
 from semscape.experiments.matching import FIXED_THRESHOLDS_PX
 from semscape.experiments.matching_pairs import simulated_pair
 from semscape.experiments.study import Setting
+from semscape.pipeline import reconstruct_full_object
 from semscape.report.figures import hillshade_picture
+from semscape.report.full_object import sides_picture
 from semscape.report.hillshade import hillshade
 from semscape.report.html import render_html
+from semscape.report.unknown import coverage_picture
 from semscape.simulate import PRESETS, SPECIMENS, acquire, simulate
 from semscape.types import Result
 
@@ -42,6 +46,8 @@ _LARGE_BYTES = 400_000
 _COLOURS = 256
 _README_SPECIMEN = "pollen"
 _TILE_PX = 240
+_COVERAGE_PX = 400
+_FULL_OBJECT_PX = 320
 
 
 def draw_real(name: str) -> bytes:
@@ -68,7 +74,7 @@ def draw_viewer() -> bytes:
         page.mouse.move(5, 5)
         page.wait_for_timeout(500)
         page.wait_for_selector(".sv-root[data-picture=still]")
-        return page.locator(".sv-root").screenshot()
+        return _dithered(page.locator(".sv-root").screenshot())
 
 
 def draw_report() -> bytes:
@@ -79,7 +85,17 @@ def draw_report() -> bytes:
         page.wait_for_selector(".sv-root[data-picture=still]")
         page.mouse.wheel(0, -5000)
         page.wait_for_timeout(300)
-        return page.screenshot()
+        return _dithered(page.screenshot())
+
+
+def _dithered(png: bytes) -> bytes:
+    """Return a picture with few colours, its shades dithered: a surface in 256 plain colours has steps."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(png)) as image:
+        whole = image.convert("RGB")
+        few = whole.quantize(_COLOURS, kmeans=4)
+        return _png(whole.quantize(palette=few, dither=Image.Dither.FLOYDSTEINBERG))
 
 
 @contextmanager
@@ -90,7 +106,7 @@ def _report_in_browser(scheme: Literal["light", "dark"] = "light") -> Iterator[P
         path = Path(folder) / "report.html"
         path.write_text(render_html(_readme_result()), encoding="utf-8")
         browser = driver.chromium.launch(executable_path=find_chromium(), args=CHROMIUM_FLAGS)
-        page = browser.new_page(viewport={"width": 1280, "height": 1020}, color_scheme=scheme)
+        page = browser.new_page(viewport={"width": 1360, "height": 1000}, color_scheme=scheme)
         page.goto(path.as_uri())
         page.wait_for_selector(".sv-root[data-picture=still]")
         page.locator(".sv-views").scroll_into_view_if_needed()
@@ -120,6 +136,18 @@ def draw_specimens() -> bytes:
     tiles.append(acquire("pollen", replace(options, detector="bse-4"), rng=0).segments[0].views[0].image)
     rows = [np.hstack(tiles[start : start + 4]) for start in (0, 4)]
     return _png(fromarray(np.vstack(rows).astype(np.uint8)))
+
+
+def draw_coverage() -> bytes:
+    """Return where a simulated grain's heights are known from how many views, and why not elsewhere."""
+    options = replace(PRESETS["hard"], width_px=_COVERAGE_PX, height_px=_COVERAGE_PX)
+    return coverage_picture(semscape.reconstruct(simulate("pollen", options, rng=0)[0], rng=0).height_map)
+
+
+def draw_full_object() -> bytes:
+    """Return a simulated spiny sphere, merged from views all around, from four sides."""
+    found, *_ = reconstruct_full_object(all_around(_FULL_OBJECT_PX).series, rng=0)
+    return sides_picture(found.merged.mesh)
 
 
 def _side_by_side(result: Result) -> bytes:
@@ -181,6 +209,8 @@ _SIMULATED = {
     "matching": draw_matching,
     "viewer": draw_viewer,
     "report": draw_report,
+    "coverage": draw_coverage,
+    "full-object": draw_full_object,
 }
 
 

@@ -9,13 +9,24 @@ import pytest
 
 from semscape import options
 from semscape.errors import BadInputError
-from semscape.options import DenseOptions, FeaturesOptions, Options, RobustOptions, RunOptions, SfmOptions, read_toml
+from semscape.flags import effective_options, with_flags
+from semscape.options import (
+    DenseOptions,
+    FeaturesOptions,
+    MeshOptions,
+    Options,
+    RobustOptions,
+    RunOptions,
+    SfmOptions,
+    read_toml,
+)
 
 STAGES = {
     "features": FeaturesOptions,
     "robust": RobustOptions,
     "sfm": SfmOptions,
     "dense": DenseOptions,
+    "mesh": MeshOptions,
     "run": RunOptions,
 }
 
@@ -43,6 +54,9 @@ STAGES = {
         ("dense.refine_sigma_px", 0.4, ">= 0.5"),
         ("dense.refine_iterations", 0, ">= 1"),
         ("dense.mesh_max_vertices", 3, ">= 4"),
+        ("dense.tile_px", -1, ">= 0"),
+        ("mesh.triangles", -1, ">= 0"),
+        ("mesh.error_um", -0.5, ">= 0"),
         ("run.seed", -1, ">= 0"),
     ],
 )
@@ -80,3 +94,11 @@ def test_settings_are_checked_together() -> None:
 def test_an_unknown_detector_names_the_nearest_one() -> None:
     with pytest.raises(BadInputError, match=r"option features\.detector has no choice 'surff'.*'surf'"):
         Options().with_settings(["features.detector=surff"])
+
+
+def test_the_camera_flag_beats_the_settings() -> None:
+    nothing = (None, None, None, None, None)
+    assert effective_options(None, ["sfm.camera=perspective"], *nothing, camera="auto").sfm.camera == "auto"
+    assert effective_options(None, ["sfm.camera=perspective"], *nothing).sfm.camera == "perspective"
+    with pytest.raises(BadInputError, match=r"sfm.camera has no choice 'fisheye'.*orthographic, perspective, auto"):
+        with_flags(Options(), camera="fisheye")

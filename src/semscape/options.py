@@ -67,6 +67,7 @@ _RANGES = {
     "dense.mesh_max_vertices": _Range(4),
     "dense.tile_px": _Range(0),
     "mesh.triangles": _Range(0),
+    "mesh.error_um": _Range(0),
     "mesh.texture_px": _Range(16),
     "run.seed": _Range(0),
 }
@@ -210,19 +211,14 @@ class DenseOptions(_Stage):
 
 @dataclass(frozen=True)
 class MeshOptions(_Stage):
-    """Mesh: come down to so many `triangles`, 0 keeps all, or stay within `error_um` of them (px without a pixel size).
+    """Mesh: come down to so many `triangles`, or stay within `error_um` (px without a pixel size) of all; 0 is no wish.
 
     `texture_px` is the longest side of the micrograph on the mesh: many viewers show no larger ones.
     """
 
     triangles: int = 0
-    error_um: float = math.nan
+    error_um: float = 0.0
     texture_px: int = 4096
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isnan(self.error_um) or 0 < self.error_um < math.inf):
-            raise BadInputError(f"option mesh.error_um is {self.error_um:g}, must be > 0")
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from semscape.cluster import Mapper, local_mapper
-from semscape.dense.decimate import decimate
+from semscape.dense.decimate import finished_mesh
 from semscape.dense.full_object import FullObject, full_object_surface
-from semscape.dense.mesh import height_map_mesh, with_picture
 from semscape.dense.tiles import surface_in_tiles
 from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
@@ -28,25 +27,20 @@ from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import Calibration, calibrate
 from semscape.sfm.full_object import calibrate_full_object
 from semscape.sfm.misfit import misfitting_view
-from semscape.sfm.plausibility import require_tilts
+from semscape.sfm.plausibility import require_one_axis, require_tilts
 from semscape.sfm.thesis import thesis_calibration
 from semscape.sfm.tracks import build_tracks
 from semscape.sfm.two_view import Pair, largest_connected_set, match_pair, renumber
 from semscape.types import (
     FloatArray,
-    HeightMap,
     Keypoints,
     Matches,
     Observations,
     Result,
     StageReport,
-    SurfaceMesh,
     TiltSeries,
     TwoViewGeometry,
 )
-
-# Of the mesh that is decimated; a larger grid is thinned to it.
-_FULL_MESH_VERTICES = 2_000_000
 
 Progress = Callable[[str, dict[str, Any] | None], None]
 Value = TypeVar("Value")
@@ -113,6 +107,7 @@ def reconstruct(
     seed = options.run.seed
     stages = _Stages(progress)
     require_tilts(series)
+    require_one_axis(series)
     with nullcontext(mapper) if mapper else local_mapper(workers) as mapper:
         with stages("detect") as figures:
             find = partial(detect, options=options.features)
@@ -153,7 +148,8 @@ def reconstruct(
             figures["pairs"] = [list(pair) for pair in surface.pairs]
 
         with stages("mesh") as figures:
-            mesh = surface_mesh(surface.height_map, options, figures)
+            mesh, told = finished_mesh(surface.height_map, options.dense.mesh_max_vertices, options.mesh)
+            figures |= told
 
     report = build_report(
         series,
@@ -260,19 +256,6 @@ def _match_all(
     failures = [str(outcome) for outcome in outcomes if isinstance(outcome, SemscapeError)]
     found = [outcome for outcome in outcomes if not isinstance(outcome, SemscapeError)]
     return tuple(matches for matches, _ in found), tuple(geometry for _, geometry in found), failures
-
-
-def surface_mesh(height_map: HeightMap, options: Options, figures: dict[str, Any]) -> SurfaceMesh:
-    """Mesh a height map as the options want it, with the micrograph on it; the figures are put into `figures`."""
-    if options.mesh.triangles or not np.isnan(options.mesh.error_um):
-        mesh = height_map_mesh(height_map, max_vertices=_FULL_MESH_VERTICES)
-        figures["n_faces_full"] = len(mesh.faces)
-        mesh, distance = decimate(mesh, options.mesh)
-        figures["largest_error"], figures["rms_error"] = distance.largest, distance.rms
-    else:
-        mesh = height_map_mesh(height_map, max_vertices=options.dense.mesh_max_vertices)
-    figures["n_vertices"], figures["n_faces"] = len(mesh.vertices_um), len(mesh.faces)
-    return with_picture(mesh, height_map, options.mesh.texture_px)
 
 
 def pairs_to_match(n_views: int, reach: int) -> list[Pair]:

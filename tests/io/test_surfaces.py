@@ -59,6 +59,37 @@ def test_points_ply_round_trips_and_states_the_unit() -> None:
     assert b"property float sigma_z" in encode_points_ply(reconstruction.points_um, three, "um")
 
 
+def test_glb_carries_the_micrograph_and_each_vertex_its_place_in_it() -> None:
+    from dataclasses import replace
+
+    import trimesh
+
+    picture = np.random.default_rng(0).integers(0, 255, (24, 31), dtype=np.uint8)
+    uv = np.random.default_rng(1).uniform(0, 1, (len(RESULT.mesh.vertices_um), 2))
+    mesh = replace(RESULT.mesh, uv=uv, picture=picture)
+    content = encode_mesh_glb(mesh)
+    assert content == encode_mesh_glb(mesh)
+    tree = glb_tree(content)
+    assert tree["asset"]["extras"]["length_unit"] == "um"
+    assert tree["materials"][0]["pbrMetallicRoughness"]["metallicFactor"] == 0
+    back = trimesh.load(io.BytesIO(content), file_type="glb", force="mesh", process=False)
+    np.testing.assert_allclose(back.visual.uv, uv, atol=1e-6)
+    np.testing.assert_array_equal(np.asarray(back.visual.material.baseColorTexture.convert("L")), picture)
+
+
+def test_an_older_map_tells_no_reasons(tmp_path) -> None:
+    from dataclasses import fields
+
+    from semscape.types import HeightMap, Reason
+
+    old = {item.name: getattr(RESULT.height_map, item.name) for item in fields(HeightMap)}
+    del old["reason"], old["specimen"]
+    height_map = HeightMap(**old)
+    known = np.isfinite(height_map.height_um)
+    assert (height_map.reason == np.where(known, Reason.KNOWN, Reason.NOT_TOLD)).all()
+    assert height_map.specimen.all()
+
+
 def test_ply_of_a_px_series_says_px() -> None:
     for content in (encode_mesh_ply(PX.mesh), encode_points_ply(PX.reconstruction.points_um, np.zeros(300), "px")):
         header = content[: content.index(b"end_header")].decode()
@@ -79,6 +110,8 @@ def test_height_map_npz_round_trips_with_the_unit_in_its_keys(result, unit, tmp_
     np.testing.assert_allclose(back.uncertainty_um, result.height_map.uncertainty_um, rtol=1e-6)
     np.testing.assert_array_equal(back.texture, result.height_map.texture)
     np.testing.assert_array_equal(back.n_views, result.height_map.n_views)
+    np.testing.assert_array_equal(back.reason, result.height_map.reason)
+    np.testing.assert_array_equal(back.specimen, result.height_map.specimen)
     np.testing.assert_array_equal(back.world_from_grid, result.height_map.world_from_grid)
     assert (back.pixel_size_um, back.length_unit) == (result.height_map.pixel_size_um, unit)
 

@@ -58,7 +58,7 @@ def html() -> str:
 def test_the_page_asks_the_network_for_nothing(html: str) -> None:
     page = Page(html)
     assert page.open == []
-    assert len(page.loads) == 4 + RESULT.series.n_views  # each view once, whatever the number of its pairs
+    assert len(page.loads) == 5 + RESULT.series.n_views  # each view once, whatever the number of its pairs
     assert all(load.startswith(("data:image/webp;base64,", "data:image/jpeg;base64,")) for load in page.loads)
     without_script = re.sub(r"<script.*?</script>", "", html, flags=re.DOTALL)
     papers = 'href="https://doi.org/'  # followed by a click alone
@@ -151,7 +151,7 @@ def test_a_result_with_little_known_still_has_a_page() -> None:
     )
     page = page_of(bare)
     assert "height scale: uncertainty unknown" in page.text.lower()
-    assert len(page.loads) == 4  # no pair, no view
+    assert len(page.loads) == 5  # no pair, no view
     without_options_file = page.text.lower().partition("options.toml")[0]  # where nan is a value
     assert "nan" not in without_options_file.split()
 
@@ -214,9 +214,37 @@ def test_a_map_of_a_megapixel_makes_a_page_below_4_mb() -> None:
     assert len(render_html(replace(RESULT, height_map=large)).encode()) < 4e6
 
 
-def test_a_notebook_gets_the_viewer_and_a_picture() -> None:
+def test_a_notebook_gets_the_viewer_and_a_picture_for_no_scripts() -> None:
     frame = RESULT._repr_html_()
     assert frame.startswith("<iframe srcdoc=")
     assert "allow-same-origin" not in frame
     assert "semscape-surface" in frame
-    assert RESULT._repr_png_().startswith(b"\x89PNG")
+    assert "noscript&gt;&lt;img src=&quot;data:image/png" in frame
+
+
+def test_each_view_has_its_prior_beside_its_posterior() -> None:
+    sigma = np.concatenate([[np.inf], np.tile([np.deg2rad(0.1), np.deg2rad(0.5), 0.002, 0.0007], 3)])
+    mean = np.zeros(13)
+    mean[1::4] = np.deg2rad([-3.0, 0.0, 3.0])
+    told = with_reconstruction(
+        RESULT,
+        prior_mean=mean,
+        prior_sigma=sigma,
+        mirror_margin=812.04,
+        height_scale_relative_sigma_of_images=0.04,
+        camera_margin=-6.2,
+    )
+    text = page_of(told).text
+    for words in (
+        "-3.00 ± 0.10",
+        "± 0.5",
+        "± 0.2",
+        "± 0.07",
+        "The mirror image costs 812 more",
+        "the images alone would tell ±7.8 %",
+        "A perspective camera fits worse: its information criterion differs by 6.2; taken: orthographic.",
+    ):
+        assert words in text, words
+    free = with_reconstruction(told, prior_sigma=np.where(np.arange(13) % 4 == 1, np.inf, sigma))
+    assert "free" in page_of(free).text
+    assert "Before and after" not in page_of(RESULT).text

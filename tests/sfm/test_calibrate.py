@@ -10,7 +10,7 @@ import pytest
 from semscape.errors import BadInputError, DegenerateGeometryError, TooFewMatchesError
 from semscape.options import SfmOptions
 from semscape.sfm.calibrate import Calibration, calibrate
-from semscape.sfm.plausibility import require_tilts, shared_points
+from semscape.sfm.plausibility import require_one_axis, require_tilts, shared_points
 from semscape.sfm.relief import relief_vote
 from semscape.types import Observations
 from synthetic_tracks import PIXEL_UM, SIZE_PX, Tracks, make_tracks, relief_px
@@ -252,6 +252,20 @@ def test_two_views_without_tilts_are_refused_with_the_reason() -> None:
     for attempt in (lambda: solve(tracks), lambda: require_tilts(tracks.series)):
         with pytest.raises(BadInputError, match=r"bas-relief ambiguity.*--tilts"):
             attempt()
+
+
+@pytest.mark.parametrize(("rotations_deg", "refused"), [((359.0, 0.0, 1.0), False), ((0.0, np.nan, 30.0), True)])
+def test_a_rotated_stage_is_refused(rotations_deg: tuple[float, ...], refused: bool) -> None:
+    views = tuple(
+        replace(view, metadata=replace(view.metadata, stage_rotation_rad=np.deg2rad(rotation)))
+        for view, rotation in zip(make_tracks((-6.0, 0.0, 6.0)).series.views, rotations_deg, strict=True)
+    )
+    series = replace(make_tracks((-6.0, 0.0, 6.0)).series, views=views)
+    if not refused:
+        require_one_axis(series)
+        return
+    with pytest.raises(BadInputError, match=r"view_0.tif \(0.0 deg\) and view_2.tif \(30.0 deg\)"):
+        require_one_axis(series)
 
 
 def test_two_views_of_which_one_has_a_tilt_are_refused() -> None:

@@ -17,4 +17,8 @@ async function start(): Promise<void> {
   document.documentElement.classList.add("has-viewer");
 }
 
-void start();
+start().catch((error: unknown) => {
+  const place = document.getElementById("semscape-viewer");
+  // The still pictures below say the rest.
+  if (place) place.textContent = `The viewer cannot show the surface: ${error instanceof Error ? error.message : error}`;
+});

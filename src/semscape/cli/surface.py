@@ -52,6 +52,9 @@ def reconstruct(
     keep: Annotated[
         str | None, typer.Option(help="all, or specimen: leave out the background stub.", metavar="WHAT")
     ] = None,
+    full_object: Annotated[
+        bool, typer.Option("--full-object", help="Views all around, by tilt and rotation: one watertight mesh.")
+    ] = False,
     quiet: QuietOption = False,
     log_json: LogJsonOption = False,
     debug: DebugOption = False,
@@ -61,7 +64,8 @@ def reconstruct(
         options = effective_options(
             options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep, camera
         )
-        run_into(folder, output, options, workers=workers, quiet=quiet, lines=not (quiet or log_json))
+        run = run_object_into if full_object else run_into
+        run(folder, output, options, workers=workers, quiet=quiet, lines=not (quiet or log_json))
 
 
 @app.command(short_help="Show what is understood of a folder of images.")
@@ -112,4 +116,21 @@ def run_into(folder: Path, output: Path, options: Options, *, workers: int | Non
     for warning in (*result.report.failures, *result.report.warnings) if lines else ():
         print_line(f"warning: {warning}", console(err=True), "yellow")
     print_summary(result, console())
+    print_line(f"report: {output / 'report.html'}", console())
+
+
+def run_object_into(
+    folder: Path, output: Path, options: Options, *, workers: int | None, quiet: bool, lines: bool
+) -> None:
+    """Reconstruct a full object into a run folder, with progress on stderr and the report's place on stdout."""
+    from semscape.batch.full_object_run import reconstruct_object_folder
+    from semscape.report.console import StageLines, print_line
+
+    with StageLines(console(err=True), quiet=not lines) as progress:
+        found = reconstruct_object_folder(folder, output, options, workers=workers, progress=progress)
+    if quiet:
+        return
+    mesh, measured = found.merged.mesh, found.merged.measured
+    print_line(f"{len(mesh.faces):,} triangles from {len(found.maps)} groups of views", console())
+    print_line(f"{measured:.0%} of the surface is seen by views, the rest closes the body", console())
     print_line(f"report: {output / 'report.html'}", console())

@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from semscape.dense.mesh import height_map_mesh, with_picture
 from semscape.geometry.triangle_tree import TriangleTree, closest_on_triangles, make_tree
 from semscape.options import MeshOptions
-from semscape.types import FloatArray, IntArray, SurfaceMesh
+from semscape.types import FloatArray, HeightMap, IntArray, SurfaceMesh
 
+_FULL_VERTICES = 2_000_000
 _FEWEST = 64
 _SAMPLES = 200_000
 _CLOSE_ENOUGH = 1.05
@@ -26,6 +28,27 @@ class MeshDistance:
     rms: float
 
 
+def finished_mesh(
+    height_map: HeightMap, max_vertices: int, options: MeshOptions
+) -> tuple[SurfaceMesh, dict[str, float]]:
+    """Return the mesh of a height map as the options want it, with the micrograph on it, and its figures.
+
+    Without a wish for fewer triangles every n-th row and column make at most `max_vertices`. With one, the whole grid
+    (thinned to two million vertices) is the mesh that the distances are told to.
+    """
+    figures: dict[str, float] = {}
+    if options.triangles or options.error_um:
+        mesh = height_map_mesh(height_map, max_vertices=_FULL_VERTICES)
+        figures["n_faces_full"] = len(mesh.faces)
+        if len(mesh.faces):
+            mesh, distance = decimate(mesh, options)
+            figures |= {"largest_error": distance.largest, "rms_error": distance.rms}
+    else:
+        mesh = height_map_mesh(height_map, max_vertices=max_vertices)
+    figures |= {"n_vertices": len(mesh.vertices_um), "n_faces": len(mesh.faces)}
+    return with_picture(mesh, height_map, options.texture_px), figures
+
+
 def decimate(mesh: SurfaceMesh, options: MeshOptions) -> tuple[SurfaceMesh, MeshDistance]:
     """Return the mesh with fewer triangles, and its distance to the one given.
 
@@ -36,8 +59,8 @@ def decimate(mesh: SurfaceMesh, options: MeshOptions) -> tuple[SurfaceMesh, Mesh
     mesh : SurfaceMesh
         All of the surface's triangles.
     options : MeshOptions
-        `triangles`, the number to come down to, or `error_um`, the largest distance (in the mesh's unit) to stay within,
-        with as few triangles as that allows. With both, the number holds unless the distance forbids it.
+        `triangles`, the number to come down to, or `error_um`, the largest distance (in the mesh's unit) to stay
+        within, with as few triangles as that allows. With both, the number holds unless the distance forbids it.
 
     Returns
     -------
@@ -64,7 +87,7 @@ def decimate(mesh: SurfaceMesh, options: MeshOptions) -> tuple[SurfaceMesh, Mesh
     (True, True)
     """
     full = make_tree(mesh.vertices_um[mesh.faces])
-    within = options.error_um if np.isfinite(options.error_um) else np.inf
+    within = options.error_um or np.inf
     enough = len(mesh.faces)
     too_few = max(options.triangles, _FEWEST) if options.triangles else _FEWEST
     if too_few >= enough:
@@ -96,7 +119,7 @@ def _fewer(mesh: SurfaceMesh, full: TriangleTree, count: int) -> tuple[FloatArra
     given = (mesh.vertices_um - centre) / size, mesh.faces.copy()  # copies: it takes no read-only array
     vertices, faces = simplify(*given, target_count=count, agg=_PATIENCE, preserve_border=True)
     if len(faces) > _REACHED * count:  # the borders alone have more
-        vertices, faces = simplify(*given, target_count=count, agg=_PATIENCE)
+        vertices, faces = simplify(*given, target_count=count)
     vertices, faces = np.asarray(vertices, np.float64) * size + centre, np.asarray(faces, np.int64)
     used, faces = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], faces.reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""From calibrated views all around to one watertight mesh: a height map per group of views, laid together and merged."""
+"""From calibrated views all around to one watertight mesh: a height map per group of views, merged."""
 
 from __future__ import annotations
 

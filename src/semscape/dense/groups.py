@@ -37,6 +37,12 @@ class PlacedMap:
     height_map: HeightMap
     world_from_group: FloatArray
 
+    @property
+    def world_from_grid(self) -> FloatArray:
+        """The map's own matrix leads into the world of its group; this one (4, 4) on into that of the object."""
+        group_from_grid = self.height_map.world_from_grid
+        return self.world_from_group @ group_from_grid
+
 
 def group_views(motion: FullObjectMotion) -> list[tuple[int, ...]]:
     """Gather the views of one stage rotation whose tilts differ by up to 20 deg; a view that is alone is left out.

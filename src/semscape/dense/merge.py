@@ -80,7 +80,7 @@ def merge_maps(maps: Sequence[PlacedMap]) -> MergedSurface:
     vertices, faces = _largest_part(*closed_surface(OrientedPoints(points, normals, area), cell))
     grey = np.concatenate([part.grey for part in parts])
     squareness = np.concatenate([part.squareness for part in parts])
-    color, distance = _colors(vertices, points, normals, grey, squareness)
+    color, distance = _colors(vertices, points, grey, squareness)
     corners = vertices[faces]
     face_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     seen = distance <= _MEASURED_CELLS * cell
@@ -95,7 +95,7 @@ def _votes(points: FloatArray, others: Sequence[PlacedMap]) -> tuple[FloatArray,
     world = np.column_stack([points, np.ones(len(points))])
     for placed in others:
         height_map = placed.height_map
-        grid_from_world = np.linalg.inv(placed.world_from_group @ height_map.world_from_grid)
+        grid_from_world = np.linalg.inv(placed.world_from_grid)
         col, row, level, _ = grid_from_world @ world.T
         rows, columns = height_map.height_um.shape
         r, c = np.rint(row).astype(np.int64), np.rint(col).astype(np.int64)
@@ -120,7 +120,7 @@ def _largest_part(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, In
 
 
 def _colors(
-    vertices: FloatArray, points: FloatArray, normals: FloatArray, grey: FloatArray, squareness: FloatArray
+    vertices: FloatArray, points: FloatArray, grey: FloatArray, squareness: FloatArray
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.uint8]], FloatArray]:
     """Return the grey of the vertices (P,) as the map sees them that looks at them most squarely, and how far it is."""
     count = min(8, len(points))

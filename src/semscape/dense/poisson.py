@@ -1,10 +1,10 @@
 """A closed surface through oriented points: screened Poisson reconstruction on a regular grid.
 
-The indicator of a body, 1 inside and 0 outside, changes at its surface alone, and there along the normal. So its gradient
-is known where points with normals are, and the indicator solves a Poisson equation; the screening pulls it to 1/2 at the
-points (Kazhdan & Hoppe 2013). On a regular grid Fourier transforms solve the plain equation at once, and a few rounds
-of conjugate gradients with that as the preconditioner the screened one. The surface is cut out of tetrahedra, which
-leaves no hole and no edge with other than two triangles.
+The indicator of a body, 1 inside and 0 outside, changes at its surface alone, and there along the normal. So its
+gradient is known where points with normals are, and the indicator solves a Poisson equation; the screening pulls it to
+1/2 at the points (Kazhdan & Hoppe 2013). On a regular grid Fourier transforms solve the plain equation at once, and a
+few rounds of conjugate gradients with that as the preconditioner the screened one. The surface is cut out of
+tetrahedra, which leaves no hole and no edge with other than two triangles.
 """
 
 from __future__ import annotations
@@ -133,8 +133,8 @@ def _indicator(samples: OrientedPoints, at_points: csr_array, shape: tuple[int, 
 def level_surface(values: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return the surface where a grid (X, Y, Z) is zero: vertices in nodes, faces with the positive side inside.
 
-    It is closed if no positive value lies on the border: every cube is cut into six tetrahedra along one diagonal, alike
-    in all cubes, so that neighbours share their faces.
+    It is closed if no positive value lies on the border: every cube is cut into six tetrahedra along one diagonal,
+    alike in all cubes, so that neighbours share their faces.
 
     Examples
     --------

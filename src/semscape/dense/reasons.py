@@ -17,7 +17,7 @@ from scipy.ndimage import minimum_filter
 from semscape.dense.sampling import gaussian_window
 from semscape.dense.stereo import filled_from_nearest
 from semscape.geometry.cameras import camera_matrices
-from semscape.types import (  # fmt: skip
+from semscape.types import (
     BoolArray,
     FloatArray,
     HeightMap,
@@ -32,9 +32,9 @@ _LEAST_VIEWS = 2
 _NEIGHBOURHOOD_PX = 31
 # More than half of a window at the highest value of the whole image: with noise that is no chance.
 _SATURATION_WINDOW_PX = 7
-# Texture too weak to be told from noise: over the widest window that heights are fitted to, two views would place it
-# worse than to this.
-_WINDOW_PX = 9.6
+# Texture too weak to be told from noise: over the middle one of the windows that heights are fitted to, two views would
+# place it worse than to this.
+_WINDOW_PX = 5.4
 _SHARP_PX = 0.5
 _PRESMOOTH_PX = 1.6
 # A 3 x 3 filter that cancels all smooth shape, and by how much it amplifies white noise.
@@ -117,7 +117,8 @@ def _hidden(height: FloatArray, places: _Places, view_from_grid: FloatArray) -> 
     known = height[np.isfinite(height)]
     if not known.size or length * float(known.max() - places.height_um.min()) < 1:
         return np.zeros(len(places.height_um), np.bool_)
-    hidden: BoolArray = _meets(height, places.col_row, places.height_um, moves / length, 1 / length, float(known.max()))
+    step = np.asarray(moves / length, np.float64)
+    hidden: BoolArray = _meets(height, places.col_row, places.height_um, step, 1 / length, float(known.max()))
     return hidden
 
 

@@ -25,9 +25,10 @@ _TURNING_PX = 12.0
 _SETTLING_ROUNDS = 2
 _SAME_SIDE = 0.6
 _LEAST_PAIRS = 100
-# The stage's rotation and tilt are known to about a degree: what would turn a map more is no agreement.
+# Calibration knows how a map is turned to this; a round body hardly tells. Neighbouring distances err alike, so many.
 _TURN_SIGMA_RAD = np.deg2rad(0.3)
-_NOISE_PX = 1.5
+_NOISE_PX = 1.0
+_ALIKE = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +40,8 @@ class _Surface:
 def register_maps(maps: Sequence[PlacedMap]) -> list[PlacedMap]:
     """Move maps so that they agree where they overlap, the first one least.
 
-    The map that shares most with the others stays; one after the other is laid onto those that lie already, then each onto
-    all others. A map that overlaps with none stays as it was.
+    The map that shares most with the others stays; one after the other is laid onto those that lie already, then each
+    onto all others. A map that overlaps with none stays as it was.
 
     Parameters
     ----------
@@ -111,11 +112,13 @@ def _laid(
             if gate_px > _TURNING_PX:
                 design = design[:, :3]
             information = (design.T * weight) @ design
-            trust = (_NOISE_PX * pixel / _TURN_SIGMA_RAD) ** 2
+            pull = (design.T * weight) @ rest
             if design.shape[1] == 6:
+                trust = _ALIKE * (_NOISE_PX * pixel / _TURN_SIGMA_RAD) ** 2
                 information[3:, 3:] += trust * np.eye(3)
+                pull[3:] -= trust * Rotation.from_matrix(pose[:3, :3]).as_rotvec()
             step = np.zeros(6)
-            step[: design.shape[1]] = np.linalg.lstsq(information, (design.T * weight) @ rest)[0]
+            step[: design.shape[1]] = np.linalg.lstsq(information, pull)[0]
             turn = np.eye(4)
             turn[:3, :3] = Rotation.from_rotvec(step[3:]).as_matrix()
             turn[:3, 3] = about + step[:3] - turn[:3, :3] @ about

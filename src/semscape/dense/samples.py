@@ -42,16 +42,15 @@ def map_samples(placed: PlacedMap) -> Samples:
     height_map = placed.height_map
     pixel = height_map.pixel_size_um
     height = np.where(height_map.specimen, height_map.height_um, np.nan)
-    by_row, by_col = np.gradient(height / pixel)
+    by_row, by_col = (np.asarray(slope, np.float64) for slope in np.gradient(height / pixel))
     cosine = 1 / np.sqrt(1 + by_row**2 + by_col**2)
     used = binary_erosion(np.isfinite(height), iterations=_MARGIN_PX) & (np.nan_to_num(cosine) >= _MOST_OBLIQUE)
     row, col = np.nonzero(used)
     grid = np.column_stack([col, row, height[used], np.ones(len(row))])
-    world_from_grid = placed.world_from_group @ height_map.world_from_grid
     # The first row has the largest y: down the rows is down in y.
     normal = np.column_stack([-by_col[used], by_row[used], np.ones(len(row))]) * cosine[used][:, None]
     return Samples(
-        (grid @ world_from_grid.T)[:, :3],
+        (grid @ placed.world_from_grid.T)[:, :3],
         normal @ placed.world_from_group[:3, :3].T,
         pixel**2 / cosine[used],
         grey_levels(height_map.texture)[used].astype(np.float64),

@@ -27,7 +27,7 @@ _LEAST_BORDER_KNOWN = 0.2
 _MAD_PER_SIGMA = 0.6745
 _ROUNDS = 20
 # Of the border's heights; and in sigmas of the stub's own roughness, beyond which something stands above it.
-_LEAST_ON_PLANE = 0.5
+_LEAST_ON_PLANE = 0.7
 _ON_PLANE, _ABOVE, _WELL_ABOVE = 3.0, 5.0, 10.0
 _LEAST_AREA, _MOST_BELOW = 0.03, 0.02
 _LEAST_EMPTY_BORDER, _LEAST_EMPTY_AREA = 0.3, 0.1
@@ -125,7 +125,7 @@ def _plane(row: IntArray, col: IntArray, height: FloatArray) -> tuple[FloatArray
         if (inner == used).all():
             break
         used = inner
-    return plane, max(sigma, 1e-12)
+    return np.asarray(plane, np.float64), max(sigma, 1e-12)
 
 
 def _empty(reason: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> BoolArray | None:

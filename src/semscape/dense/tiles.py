@@ -160,11 +160,14 @@ def _crop(values: NDArray[Any], corner: NDArray[np.int64], shape: tuple[int, int
 def _core(options: DenseOptions, tile: _Tile) -> _Planes:
     found = dense_surface(tile.series, tile.reconstruction, options).height_map
     reason = unknown_reasons(tile.series, tile.reconstruction, found)
-    height, uncertainty, n_views, texture, why = (
-        np.ascontiguousarray(plane[tile.core])
-        for plane in (found.height_um, found.uncertainty_um, found.n_views, found.texture, reason)
+    core = tile.core
+    return (
+        found.height_um[core].copy(),
+        found.uncertainty_um[core].copy(),
+        found.n_views[core].copy(),
+        found.texture[core].copy(),
+        reason[core],
     )
-    return height, uncertainty, n_views, texture, why
 
 
 def _world_from_grid(shape: tuple[int, int], pixel_size: float) -> FloatArray:

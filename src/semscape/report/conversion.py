@@ -68,7 +68,8 @@ class _Source:
 def _obj(source: _Source) -> dict[str, bytes]:
     height_map = source.height_map
     mesh = with_picture(source.mesh, height_map, max(height_map.height_um.shape))
-    assert mesh.uv is not None and mesh.picture is not None  # for so it was made
+    assert mesh.uv is not None  # for so it was made
+    assert mesh.picture is not None
     picture = np.repeat(mesh.picture[..., None], 3, axis=-1)
     if source.options.color != "micrograph":
         picture = _colors(height_map.height_um, height_map, source.options.color)

@@ -18,7 +18,7 @@ _FREE = "free"
 
 def before_and_after(report: Mapping[str, Any], result: Result) -> str:
     """Return the table of every view's prior beside its posterior, "" for a result that holds no priors."""
-    if not all(view["prior"] for view in report["views"]):
+    if not all(view["prior"] for view in report["views"]) or len(report["inputs"]) < len(report["views"]):
         return ""
     unit = report["length_unit"]
     head = ["View"]
@@ -38,20 +38,24 @@ def before_and_after(report: Mapping[str, Any], result: Result) -> str:
                 number(round(view["tilt_deg"], 3) + 0.0)
                 if held
                 else with_sigma(view["tilt_deg"], view["tilt_sigma_deg"]),
-                with_sigma(0.0, prior["roll_sigma_deg"]),
+                _about_zero(prior["roll_sigma_deg"]),
                 with_sigma(view["roll_deg"], view["roll_sigma_deg"]),
-                with_sigma(0.0, percent(prior["scale_relative_sigma"])),
+                _about_zero(percent(prior["scale_relative_sigma"])),
                 with_sigma(100 * drift, 100 * view[f"scale_sigma_px_per_{unit}"] * pixel_size),
-                with_sigma(0.0, percent(prior["anisotropy_sigma"])),
+                _about_zero(percent(prior["anisotropy_sigma"])),
                 with_sigma(percent(view["anisotropy"]), percent(view["anisotropy_sigma"])),
             ]
         )
     return (
         f"<h3>Before and after</h3>{table(head, rows)}"
-        '<p class="quiet">± is 1 σ. Before: what files or user say of the tilts, and what is assumed of the rest '
-        "(options sfm.prior_…; the anisotropy's σ was learnt from the series). After: with the images. "
+        '<p class="quiet">± is 1 σ. Before: what files or user say of the tilts, and what is assumed of the rest, '
+        "about 0 (options sfm.prior_…; the anisotropy's σ was learnt from the series). After: with the images. "
         f"{escape(' '.join(_decided(result)))}</p>"
     )
+
+
+def _about_zero(sigma: float | None) -> str:
+    return f"± {number(sigma, 2)}"
 
 
 def _decided(result: Result) -> list[str]:

@@ -28,6 +28,7 @@ from semscape.sfm.plausibility import (
     height_scale_warnings,
     perspective_warnings,
     prior_contradictions,
+    require_one_axis,
     require_parallax,
     require_tilts,
     stage_contradictions,
@@ -82,13 +83,14 @@ def calibrate(
     Raises
     ------
     BadInputError
-        For two views without tilts.
+        For two views without tilts, or views between which the stage was rotated.
     TooFewMatchesError
         With fewer than 24 tracks.
     DegenerateGeometryError
         Without parallax, where nothing but the images could give the tilts.
     """
     require_tilts(series)
+    require_one_axis(series)
     if observations.n_points < _LEAST_TRACKS:
         raise TooFewMatchesError(
             f"{observations.n_points} tracks over {series.n_views} views, need {_LEAST_TRACKS}: "

@@ -11,6 +11,7 @@ from semscape.sfm.eliminated import PatternScatters, eliminated_cost, projection
 from semscape.sfm.priors import MotionPrior
 from semscape.types import BoolArray, FloatArray, Observations, TiltSeries
 
+_MOST_ROTATION_RAD = np.deg2rad(5.0)
 _LEAST_PARALLAX_PX = 0.5
 _PARALLAX_OVER_NOISE = 2.0
 _LEAST_SHARED = 8
@@ -45,6 +46,29 @@ def require_tilts(series: TiltSeries) -> None:
             f"two views ({', '.join(series.names)}) without stage tilts: two parallel projections show the same "
             "pictures for a low relief tilted far and a high relief tilted little (bas-relief ambiguity), so no "
             "height can be computed. Give the tilts (--tilts -3,3, or tilts_deg in series.toml), or add a third view"
+        )
+
+
+def require_one_axis(series: TiltSeries) -> None:
+    """Refuse views between which the stage was rotated: they share no tilt axis in the images.
+
+    Raises
+    ------
+    BadInputError
+        For known stage rotations more than 5 deg apart.
+    """
+    rotation = np.array([view.metadata.stage_rotation_rad for view in series.views])
+    known = np.flatnonzero(np.isfinite(rotation))
+    if not len(known):
+        return
+    turned = np.abs(np.angle(np.exp(1j * (rotation - rotation[known[0]]))))
+    if np.nanmax(turned) > _MOST_ROTATION_RAD:
+        first, far = known[0], int(np.nanargmax(turned))
+        raise BadInputError(
+            f"the stage was rotated between {series.names[first]} ({np.rad2deg(rotation[first]):.1f} deg) and "
+            f"{series.names[far]} ({np.rad2deg(rotation[far]):.1f} deg): a surface needs views that are tilted about "
+            "one axis. Leave the rotated views out, or correct stage_rotation_deg in series.toml. The cameras of views "
+            "all around a specimen are found by semscape.sfm.full_object.calibrate_full_object, from Python"
         )
 
 

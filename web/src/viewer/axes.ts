@@ -9,7 +9,7 @@ import type { Project } from "./view3d";
 type Screen = [number, number];
 
 export function drawAxes(
-  pen: Pen2D, ink: Ink, surface: Surface, [low, high]: [number, number], project: Project, azimuthDeg: number,
+  pen: Pen2D, ink: Ink, surface: Surface, [low, high]: [number, number], project: Project, azimuthDeg: number, width: number,
 ): void {
   const { rows, cols } = surface;
   const azimuth = (azimuthDeg * Math.PI) / 180;
@@ -53,7 +53,19 @@ export function drawAxes(
       pen.fillStyle = ink.quiet;
       pen.fillText(fixed(mark, decimals), place[0] + 9 * out[0], place[1] + 9 * out[1]);
     }
-    label(pen, ink, `${name} (${sign})`, half[0] + 38 * out[0], half[1] + 30 * out[1]);
+    const title = `${name} (${sign})`;
+    if (name === "z") {
+      // Above its axis: beside it there is little room.
+      pen.textAlign = "center";
+      pen.textBaseline = "bottom";
+      label(pen, ink, title, Math.max(28, to[0]), to[1] - 10);
+      return;
+    }
+    const letters = pen.measureText(title).width;
+    // Never beyond the view's edge, where it would be cut.
+    const before = { left: 0, center: 0.5, right: 1 }[pen.textAlign as "left" | "center" | "right"] * letters;
+    const x = Math.min(width - 6 - letters + before, Math.max(6 + before, half[0] + 38 * out[0]));
+    label(pen, ink, title, x, half[1] + 30 * out[1]);
   };
   const m = surface.worldFromGrid;
   const worldX = (x: number): number => worldAt(surface, x, 0, 0)[0];

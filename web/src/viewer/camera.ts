@@ -17,7 +17,7 @@ export interface Eye {
 }
 
 const FIELD_DEG = 30;
-const FILLED = 0.88;
+const FILLED = 0.93;
 
 export const HOME: Readonly<Eye> = {
   projection: "perspective",

@@ -152,9 +152,11 @@ function popover(title: string, path: string, ...content: Child[]): HTMLElement 
   details.addEventListener("focusout", (event) => {
     if (event.relatedTarget && !details.contains(event.relatedTarget as Node)) details.open = false;
   });
-  document.addEventListener("pointerdown", (event) => {
+  const elsewhere = (event: Event): void => {
     if (!details.contains(event.target as Node)) details.open = false;
-  });
+    if (!details.isConnected) document.removeEventListener("pointerdown", elsewhere);
+  };
+  document.addEventListener("pointerdown", elsewhere);
   return details;
 }
 

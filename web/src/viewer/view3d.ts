@@ -446,7 +446,7 @@ export class View3D {
       return Math.abs(point.z) <= 1 ? [((point.x + 1) / 2) * width, ((1 - point.y) / 2) * height] : null;
     };
     const project: Project = (x, y, z) => (Number.isNaN(z) ? null : onScreen(this.toScene(x, y, z, at)));
-    if (settings.axes) drawAxes(pen, ink, this.surface, this.facts.shown, project, settings.eye.azimuthDeg);
+    if (settings.axes) drawAxes(pen, ink, this.surface, this.facts.shown, project, settings.eye.azimuthDeg, width);
     if (settings.cameras) {
       pen.textAlign = "center";
       pen.textBaseline = "bottom";

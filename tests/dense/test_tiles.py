@@ -1,0 +1,88 @@
+"""Tiles with overlap: the same map as in one piece, by whomever it is computed."""
+
+from __future__ import annotations
+
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from semscape.dense.groups import _reconstruction
+from semscape.dense.tiles import surface_in_tiles
+from semscape.options import DenseOptions
+from semscape.simulate import PRESETS, simulate
+from semscape.types import HeightMap, Reason, Reconstruction, TiltSeries
+
+OPTIONS = replace(
+    PRESETS["nominal"], tilts_deg=(-6.0, 0.0, 6.0), width_px=300, height_px=260, data_bar_rows=20, shift_px=4.0
+)
+
+
+@cache
+def calibrated() -> tuple[TiltSeries, Reconstruction]:
+    """Return a simulated series with its true cameras."""
+    series, truth = simulate("spheres", OPTIONS, rng=3, workers=2)
+    rows, columns = np.nonzero(np.isfinite(truth.height_um))
+    grid = np.column_stack([columns, rows, truth.height_um[rows, columns], np.ones(len(rows))])
+    points = (grid @ truth.world_from_grid.T)[::500, :3]
+    # The reference's grid is centred on the ray through its centre, as calibration leaves it.
+    motion = truth.motion
+    centre = np.array([(OPTIONS.width_px - 1) / 2, (OPTIONS.height_px - 1) / 2])
+    shift = (centre - motion.translation_px[1]) / motion.scale_px_per_um[1] * [1, -1]
+    moved = motion.translation_px + motion.scale_px_per_um[:, None] * np.column_stack(
+        [shift[0] * np.cos(motion.tilt_rad), np.full(3, -shift[1])]
+    )
+    points[:, :2] -= shift
+    return series, _reconstruction(replace(motion, translation_px=moved), points, 1, series)
+
+
+@cache
+def found(tile_px: int) -> HeightMap:
+    return surface_in_tiles(*calibrated(), DenseOptions(tile_px=tile_px)).height_map
+
+
+def test_tiles_agree_with_one_piece() -> None:
+    whole, tiled = found(0), found(160)
+    assert tiled.height_um.shape == whole.height_um.shape
+    assert np.array_equal(tiled.world_from_grid, whole.world_from_grid)
+    known = np.isfinite(whole.height_um) & np.isfinite(tiled.height_um)
+    assert known.mean() > 0.95 * np.isfinite(whole.height_um).mean() > 0.7
+    baseline = np.ptp(np.tan(OPTIONS.tilts_deg[2] * np.pi / 180 * np.array([-1, 1])))
+    difference = np.abs(whole.height_um - tiled.height_um)[known] / OPTIONS.pixel_size_um * baseline
+    assert np.median(difference) < 0.04
+    # Where noise decides, it decides anew: matching starts at another place. Sigmas say how far that goes.
+    error, sigma = np.abs(whole.height_um - tiled.height_um)[known], whole.uncertainty_um[known]
+    assert np.mean(error <= sigma) > 0.9
+    # The tiles' borders are no worse than the rest.
+    seam = np.zeros(known.shape, bool)
+    seam[120:140] = seam[:, 140:160] = True
+    at_seam = np.abs(whole.height_um - tiled.height_um)[known & seam] / OPTIONS.pixel_size_um * baseline
+    assert np.median(at_seam) < 0.08
+
+
+def by_bytes(function: Any, items: Any) -> Any:
+    """Return what another process would: function and items as bytes there, the values as bytes back."""
+    sent = pickle.dumps(function)
+    return [pickle.loads(pickle.dumps(pickle.loads(sent)(pickle.loads(pickle.dumps(item))))) for item in items]
+
+
+@pytest.mark.parametrize("way", ["threads", "processes"])
+def test_who_computes_the_tiles_changes_nothing(way: str) -> None:
+    one = found(160)
+    with ThreadPoolExecutor(3) as pool:
+        mapper = pool.map if way == "threads" else by_bytes
+        other = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160), mapper=mapper).height_map
+    for plane in ("height_um", "uncertainty_um", "n_views", "texture", "reason", "specimen"):
+        assert np.array_equal(getattr(one, plane), getattr(other, plane), equal_nan=plane not in ("specimen",)), plane
+
+
+def test_every_unknown_pixel_has_a_reason_and_no_known_one() -> None:
+    for height_map in (found(0), found(160)):
+        known = np.isfinite(height_map.height_um)
+        assert np.array_equal(height_map.reason == Reason.KNOWN, known)
+        assert not (height_map.reason == Reason.NOT_TOLD).any()
+        assert (height_map.reason[-8:] == Reason.MASKED).mean() > 0.9  # the data bar
