@@ -87,6 +87,7 @@ simulator-speed: $(STAMP)
 
 docs-pictures: $(STAMP)
 	@$(BIN)/python benchmarks/docs_pictures.py
+	@$(BIN)/python benchmarks/app_pictures.py
 
 # With the measured sets where they lie beside the repository, as in the tests.
 docs-experiments: $(STAMP)

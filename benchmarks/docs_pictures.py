@@ -93,7 +93,9 @@ def _dithered(png: bytes) -> bytes:
     from PIL import Image
 
     with Image.open(io.BytesIO(png)) as image:
-        return _png(image.convert("RGB").quantize(_COLOURS, dither=Image.Dither.FLOYDSTEINBERG))
+        whole = image.convert("RGB")
+        few = whole.quantize(_COLOURS, kmeans=4)
+        return _png(whole.quantize(palette=few, dither=Image.Dither.FLOYDSTEINBERG))
 
 
 @contextmanager

@@ -52,6 +52,8 @@ SIDEWAYS = {
     ("cli", "batch"),
     ("cli", "doctor"),
     ("batch", "flags"),
+    ("app", "batch"),
+    ("cli", "app"),
     ("options", "errors"),
 }
 # A renderer that shares matching or triangulation code with the pipeline cannot falsify it.

@@ -18,7 +18,7 @@ from semscape.options import Options
 from semscape.report.console import print_line
 
 _PACKAGES = ("semscape", "numpy", "scipy", "opencv-contrib-python-headless", "numba", "mahotas", "tifffile", "trimesh")
-_EXTRAS = {"cluster": ("dask", "distributed", "dask-jobqueue")}
+_EXTRAS = {"app": ("fastapi", "uvicorn"), "cluster": ("dask", "distributed", "dask-jobqueue")}
 _MOST_HEIGHT_ERROR = 0.15
 _SEED = 0
 

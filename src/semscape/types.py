@@ -17,9 +17,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-# Named, not imported: values know no reports until a notebook asks for one.
-_NOTEBOOK = "semscape.report.notebook"
-
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
@@ -31,20 +28,16 @@ TiltSource = Literal["metadata", "user", "self-calibrated"]
 FieldSource = Literal["file", "sidecar", "user", "assumed", "doubtful"]
 
 
-def _freeze_arrays(value: object) -> None:
-    """Replace each array of a frozen dataclass by a read-only view of it."""
-    for spec in fields(value):  # type: ignore[arg-type]
-        item = getattr(value, spec.name)
-        if isinstance(item, np.ndarray):
-            view = item.view()
-            view.setflags(write=False)
-            object.__setattr__(value, spec.name, view)
-
-
 @dataclass(frozen=True, eq=False)
 class _Value:
     def __post_init__(self) -> None:
-        _freeze_arrays(self)
+        """Replace each array by a read-only view of it."""
+        for spec in fields(self):
+            item = getattr(self, spec.name)
+            if isinstance(item, np.ndarray):
+                view = item.view()
+                view.setflags(write=False)
+                object.__setattr__(self, spec.name, view)
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,9 +416,5 @@ class Result(_Value):
     report: Report
 
     def _repr_html_(self) -> str:
-        """Return the viewer as a frame, with which a notebook shows this value."""
-        return str(import_module(_NOTEBOOK).notebook_html(self))
-
-    def _repr_png_(self) -> bytes:
-        """Return a picture of the heights, for a notebook that runs no script."""
-        return bytes(import_module(_NOTEBOOK).notebook_png(self))
+        # For notebooks. Named, not imported: values know no reports until one is asked for.
+        return str(import_module("semscape.report.notebook").notebook_html(self))

@@ -45,6 +45,24 @@ def batch(
         raise typer.Exit(run_command(manifest, output, options, placement, console(), quiet or log_json, **how))
 
 
+@app.command("app", short_help="Open the page on this machine: drop images, see and measure the surface.")
+def page(
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, metavar="N", help="Any that is free if left out.")
+    ] = None,
+    workspace: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Folder of the runs; ~/semscape-runs if left out.")
+    ] = None,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
+    debug: DebugOption = False,
+) -> None:
+    """Serve the page of semscape to this machine's browser until Ctrl-C."""
+    with exit_codes(debug=debug, quiet=False):
+        from semscape.app.command import run_app
+
+        run_app(workspace, port, open_browser=not no_browser, say=typer.echo, debug=debug)
+
+
 @app.command(short_help="Show versions and resources, and test this installation.")
 def doctor() -> None:
     """Print versions, cores, memory, BLAS and optional extras, and reconstruct a small simulated series."""

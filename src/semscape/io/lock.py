@@ -68,6 +68,18 @@ class FolderLock:
         return False
 
 
+def is_locked(folder: Path, name: str = LOCK_NAME) -> bool:
+    """Tell whether a process holds the lock on a folder at this moment; nothing is made where there is none."""
+    try:
+        descriptor = os.open(folder / name, os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        return not _try_lock(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def _is_the_file(descriptor: int, path: Path) -> bool:
     """Tell whether a path still leads to the open file: the one before may have removed it."""
     try:

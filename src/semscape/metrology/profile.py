@@ -19,6 +19,7 @@ from semscape.types import FloatArray
 
 _SECTIONS = 5
 _LEAST_SAMPLES = 8
+_LONGEST_IN_MAPS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,7 @@ def extract_profile(height: FloatArray, spacing: Spacing, start_px: FloatArray, 
     Raises
     ------
     NoAnswerError
-        If fewer than eight heights along it are known.
+        If fewer than eight heights along it are known, or it is far longer than the map.
 
     Examples
     --------
@@ -59,6 +60,12 @@ def extract_profile(height: FloatArray, spacing: Spacing, start_px: FloatArray, 
     length = float(np.hypot((end[0] - start[0]) * dx, (end[1] - start[1]) * dy))
     # The step divides the length, so that the last sample is the end of the line.
     count = max(round(length / min(dx, dy)), 1)
+    rows, cols = height.shape
+    if count > _LONGEST_IN_MAPS * (rows + cols) * max(dx, dy) / min(dx, dy):
+        raise NoAnswerError(
+            f"the profile is {length:.3g} long, and the map only {cols * dx:.3g} x {rows * dy:.3g}; draw it over the "
+            "known part of the map"
+        )
     share = np.linspace(0.0, 1.0, count + 1)
     sampled = sample_heights(height, start + share[:, None] * (end - start))
     known = int(np.isfinite(sampled).sum())

@@ -18,7 +18,8 @@ def notebook_html(result: Result) -> str:
 
     At most 400,000 heights are shown, every n-th row and column: a notebook keeps what it has shown.
     """
-    still = f'<img src="{picture_data(notebook_png(result))}" alt="Height map" style="max-width: 100%">'
+    picture = picture_data(height_picture(result.height_map))
+    still = f'<img src="{picture}" alt="Height map" style="max-width: 100%">'
     script = viewer_script()
     if script is None:
         return still
@@ -33,8 +34,3 @@ def notebook_html(result: Result) -> str:
         f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts allow-downloads" title="Surface" '
         f'style="width: 100%; height: {_HEIGHT_PX}px; border: 1px solid #8884; border-radius: 8px"></iframe>'
     )
-
-
-def notebook_png(result: Result) -> bytes:
-    """Return a picture of the heights as a PNG."""
-    return height_picture(result.height_map)

@@ -54,6 +54,13 @@ export function drawAxes(
       pen.fillText(fixed(mark, decimals), place[0] + 9 * out[0], place[1] + 9 * out[1]);
     }
     const title = `${name} (${sign})`;
+    if (name === "z") {
+      // Above its axis: beside it there is little room.
+      pen.textAlign = "center";
+      pen.textBaseline = "bottom";
+      label(pen, ink, title, Math.max(28, to[0]), to[1] - 10);
+      return;
+    }
     const letters = pen.measureText(title).width;
     // Never beyond the view's edge, where it would be cut.
     const before = { left: 0, center: 0.5, right: 1 }[pen.textAlign as "left" | "center" | "right"] * letters;
