@@ -35,7 +35,7 @@ def fit_hyperplane_bounded(w: FloatArray) -> FloatArray:
     near its line by chance moves anywhere, so a few of them decide the direction and gather others of their kind.
     Here matches farther out along the third axis of the scatter than 1.5 times the median are weighted with the
     inverse square of it, so that none counts more than a usual one (Mallows' estimators: Hampel et al. 1986,
-    doi:10.1002/9781118186435, section 6.3).
+    doi:10.1002/9781118186435, chapter 6).
 
     Examples
     --------
