@@ -20,7 +20,7 @@ help:
 	@echo "make lint           style and types"
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
-	@echo "make benchmark      seconds per stage and of measuring, peak memory, tilt correction, as JSON"
+	@echo "make benchmark      seconds per stage, of measuring and matching, peak memory, tilt correction, as JSON"
 	@echo "make motion         the motion stage alone: accuracy, coverage, speed, repeatability; writes docs/motion.md"
 	@echo "make simulator-realism  simulated beside measured series: the table of docs/simulator.md"
 	@echo "make simulator-speed    seconds per simulated view, as JSON"
@@ -73,6 +73,8 @@ benchmark: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py
 	@$(BIN)/python benchmarks/metrology.py
 	@$(BIN)/python benchmarks/tilt_correction.py
+	@$(BIN)/python benchmarks/matching.py
+	@$(BIN)/python benchmarks/robust_speed.py
 
 motion: $(STAMP)
 	@$(BIN)/python benchmarks/motion.py > .motion.json

@@ -56,7 +56,7 @@ def test_other_models_have_no_such_limit() -> None:
 
 
 def test_the_pair_is_limited_where_asked() -> None:
-    x1, x2, right = pair_of_views(800, 0.7, 1.5, 1)
+    x1, x2, right = pair_of_views(800, 0.8, 1.5, 1)
     free, limited = (
         two_view_geometry(
             (0, 1),

@@ -74,6 +74,8 @@ class Model:
         Least squares (n, 4) -> (3, 3); None where the matches do not determine the model.
     calibration : (3, 3) arrays, optional
         Of both cameras, for the essential matrix.
+    settle : function, optional
+        The last fit, as `fit`, where least squares leaves the model to a few matches.
     """
 
     kind: str
@@ -84,6 +86,7 @@ class Model:
     solve: Callable[..., None]
     fit: Callable[[FloatArray], FloatArray | None]
     calibration: tuple[FloatArray, FloatArray] | None = None
+    settle: Callable[[FloatArray], FloatArray | None] | None = None
 
     def log10_alpha0(self, shapes: tuple[Shape, Shape]) -> float:
         """Return log10 of the chance that a wrong match has a residual below 1 px.
@@ -154,6 +157,6 @@ def _transformed(matrix: FloatArray, xy: FloatArray) -> FloatArray:
     return np.asarray(xy @ matrix[:2, :2].T + matrix[:2, 2])
 
 
-AFFINE = Model("affine", 4, 1, 1, AFFINE_LINE, solve_affine, refit.fit_affine)
+AFFINE = Model("affine", 4, 1, 1, AFFINE_LINE, solve_affine, refit.fit_affine, settle=refit.fit_affine_bounded)
 FUNDAMENTAL = Model("fundamental", 7, 3, 1, LINE, solve_fundamental, refit.fit_fundamental)
 HOMOGRAPHY = Model("homography", 4, 1, 2, POINT, solve_homography, refit.fit_homography)

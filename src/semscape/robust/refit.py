@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semscape.robust.affine_epipolar import affine_matrix, fit_hyperplane
+from semscape.robust.affine_epipolar import affine_matrix, fit_hyperplane, fit_hyperplane_bounded
 from semscape.types import FloatArray
 
 _LEAST_SPREAD = 1e-9
@@ -16,6 +16,11 @@ _DIFFERENCE = 1e-7
 def fit_affine(w: FloatArray) -> FloatArray | None:
     """Return the affine fundamental matrix of least squared distances in the 4-space of matches."""
     return affine_matrix(fit_hyperplane(w)) if len(w) > 4 else None
+
+
+def fit_affine_bounded(w: FloatArray) -> FloatArray | None:
+    """Return the affine fundamental matrix in which no match weighs more than others by its parallax."""
+    return affine_matrix(fit_hyperplane_bounded(w)) if len(w) > 4 else None
 
 
 def fit_fundamental(w: FloatArray) -> FloatArray | None:

@@ -159,7 +159,7 @@ def search(
         if score.is_evidence(best.value) and len(inliers) > model.sample_size + 1:
             local = inliers[_draw(rng, len(inliers), model.sample_size, max(done // 10, _MIN_LOCAL_TRIALS))]
             best = _best_of(model, matches, score, local, best, run, workers)
-            best = _refined(model, matches, score, best, _REACHES)
+            best = _settled(model, matches, score, _refined(model, matches, score, best, _REACHES))
             done += len(local)
     return best, done
 
@@ -213,15 +213,35 @@ def _refined(
     return candidate
 
 
+def _settled(model: Model, matches: DistinctMatches, score: Score, candidate: Candidate) -> Candidate:
+    """Fit the inliers once more by the model's own last fit, and choose them anew, whatever the value.
+
+    Of all models the best is the one that has gathered most matches by chance; this one has not been chosen so.
+    """
+    if model.settle is None:
+        return candidate
+    inliers = np.flatnonzero(_residuals(model, matches, candidate) <= candidate.threshold_px)
+    matrix = model.settle(matches.w.take(inliers, axis=0))
+    if matrix is None:
+        return candidate
+    value, threshold = _scored(score, matrix, math.inf)
+    return Candidate(matrix, value, threshold) if score.is_evidence(value) else candidate
+
+
+def _scored(score: Score, matrix: FloatArray, bar: float) -> tuple[float, float]:
+    """Return the value and the threshold of one model, the value infinite where it is worse than `bar`."""
+    value, threshold = np.empty((1, 1)), np.empty((1, 1))
+    score.of_models(matrix[None, None], np.ones(1, dtype=np.int64), bar, value, threshold)
+    return float(value[0, 0]), float(threshold[0, 0])
+
+
 def _fitted(model: Model, matches: DistinctMatches, score: Score, candidate: Candidate, chosen: BoolArray) -> Candidate:
     """Return the least-squares model of the chosen matches where it is better, else the candidate itself."""
     matrix = model.fit_matches(matches.w.take(np.flatnonzero(chosen), axis=0), matches.frame)
     if matrix is None:
         return candidate
-    value, threshold = np.empty((1, 1)), np.empty((1, 1))
-    score.of_models(matrix[None, None], np.ones(1, dtype=np.int64), candidate.value, value, threshold)
-    better = value[0, 0] < candidate.value
-    return Candidate(matrix, float(value[0, 0]), float(threshold[0, 0])) if better else candidate
+    value, threshold = _scored(score, matrix, candidate.value)
+    return Candidate(matrix, value, threshold) if value < candidate.value else candidate
 
 
 def _trials_for(good_share: float, failure_probability: float) -> float:
