@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/setup-done
 CODE := src tests benchmarks examples
 
-.PHONY: help setup demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
+.PHONY: help setup demo test lint examples slurm accuracy benchmark docs-pictures docs-experiments simulator-realism \
 	simulator-speed clean
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make setup          only build .venv (the others do so where it is needed)"
 	@echo "make lint           style and types"
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
+	@echo "make slurm          a batch through a real SLURM of one node; installs it (Debian, as root) where it is missing"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
 	@echo "make benchmark      seconds per stage and of measuring, peak memory, tilt correction, as JSON"
 	@echo "make simulator-realism  simulated beside measured series: the table of docs/simulator.md"
@@ -49,6 +50,10 @@ lint: $(STAMP)
 
 examples: $(STAMP)
 	@for script in examples/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+slurm: $(STAMP)
+	@tests/batch/slurm_cluster.sh install
+	@SEMSCAPE_CI_SLURM=1 $(BIN)/python -m pytest tests/batch/test_slurm.py
 
 accuracy: $(STAMP)
 	@$(BIN)/python benchmarks/accuracy.py

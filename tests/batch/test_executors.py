@@ -23,7 +23,7 @@ from semscape.batch.manifest import find_specimens
 from semscape.batch.record import Ending
 from semscape.batch.run import run_batch
 from semscape.cluster import Placement, Serial, WorkerLostError, local_mapper, open_executor
-from semscape.cluster.on_dask import slurm_request
+from semscape.cluster.on_slurm import slurm_request
 from semscape.cluster.processes import LocalProcesses, worker_environment
 from semscape.errors import BadInputError
 from semscape.io.run_folder import WORK_NAME
