@@ -9,7 +9,7 @@ BUNDLE := src/semscape/web/digest.txt
 WEB_SOURCES := $(shell find web/src -type f) web/package-lock.json web/bundle_web.py
 
 .PHONY: help setup web web-check demo test lint examples accuracy benchmark docs-pictures docs-experiments simulator-realism \
-	simulator-speed motion clean
+	simulator-speed slurm motion clean
 
 help:
 	@echo "make demo           simulate a specimen, reconstruct it, and say where the report is"
@@ -19,6 +19,7 @@ help:
 	@echo "make web-check      types of web/src; installs what the tests in a browser need"
 	@echo "make lint           style and types"
 	@echo "make examples       run the scripts of examples/ on a small simulated series"
+	@echo "make slurm          a batch through a real SLURM of one node; installs it (Debian, as root) where it is missing"
 	@echo "make accuracy       accuracy on real and simulated series, as JSON"
 	@echo "make benchmark      seconds per stage, of measuring and matching, peak memory, tilt correction, as JSON"
 	@echo "make motion         the motion stage alone: accuracy, coverage, speed, repeatability; writes docs/motion.md"
@@ -65,6 +66,10 @@ lint: $(STAMP)
 
 examples: $(STAMP)
 	@for script in examples/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+slurm: $(STAMP)
+	@tests/batch/slurm_cluster.sh install
+	@SEMSCAPE_CI_SLURM=1 $(BIN)/python -m pytest tests/batch/test_slurm.py
 
 accuracy: $(STAMP)
 	@$(BIN)/python benchmarks/accuracy.py

@@ -1,10 +1,15 @@
-"""What a batch costs: specimens per hour with 1 and 2 workers, overhead per specimen, 10,000 tasks that do nothing."""
+"""What a batch costs: specimens per hour with 1 and 2 workers, overhead per specimen, 10,000 tasks that do nothing.
+
+And what one series of many views costs, with all pairs and with some. CPU seconds stand beside those of the clock, for
+they tell something on a machine that does other work too.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -12,6 +17,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from isolated import Case, run_cases
 from semscape.batch.manifest import find_specimens
@@ -21,11 +28,17 @@ from semscape.cluster import Placement, open_executor
 from semscape.cluster.processes import worker_environment
 from semscape.io.simulated import write_simulated_series
 from semscape.options import Options
+from semscape.pipeline import reconstruct
 from semscape.simulate import SimulationOptions, simulate
 
 _MICROSCOPE = SimulationOptions(tilts_deg=(-6.0, 0.0, 6.0), width_px=256, height_px=256)
 _N_SPECIMENS = 16
 _N_EMPTY = 10_000
+_MANY_VIEWS = (10, 20, 40, 60)
+_QUICK_SEARCH = [
+    *("sfm.de_generations=1", "sfm.de_population_per_variable=2", "sfm.max_iterations=5"),
+    *("dense.max_pairs=1", "dense.mesh_max_vertices=2000"),
+]
 
 
 class _Nobody:
@@ -45,6 +58,7 @@ def throughput() -> dict[str, Any]:
             write_simulated_series(root / f"s{i:02}", *simulate("fracture", _MICROSCOPE, rng=i))
         for workers in (1, 2):
             output = Path(folder) / f"out{workers}"
+            cpu = _children_cpu_seconds()
             with open_executor(Placement(workers=workers, threads=1)) as executor:
                 warm = find_specimens(root, output)[:workers]
                 run_batch(warm, Path(folder) / f"warm{workers}", Options(), executor, _Nobody())
@@ -54,11 +68,13 @@ def throughput() -> dict[str, Any]:
                 start = time.perf_counter()
                 run_batch(find_specimens(root, output), output, Options(), executor, _Nobody())
                 kept = time.perf_counter() - start
+            cpu = _children_cpu_seconds() - cpu
             busy = sum(ending.record.seconds for ending in endings)
             staged = sum(sum(ending.record.report["stages"].values()) for ending in endings)
             rows[f"workers_{workers}"] = {
                 "specimens_per_hour": round(3600 * _N_SPECIMENS / seconds),
                 "seconds_per_specimen": round(busy / _N_SPECIMENS, 3),
+                "cpu_seconds_per_specimen": round(cpu / (_N_SPECIMENS + workers), 3),
                 "stage_seconds_per_specimen": round(staged / _N_SPECIMENS, 3),
                 "executor_ms_per_specimen": round(1000 * (workers * seconds - busy) / _N_SPECIMENS, 1),
                 "kept_ms_per_specimen": round(1000 * kept / _N_SPECIMENS, 1),
@@ -67,6 +83,33 @@ def throughput() -> dict[str, Any]:
     rows["speedup_of_2_workers"] = round(
         rows["workers_2"]["specimens_per_hour"] / rows["workers_1"]["specimens_per_hour"], 2
     )
+    return rows
+
+
+def _children_cpu_seconds() -> float:
+    """Return the CPU time of all processes that were started here and have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def many_views(n_views: int) -> dict[str, Any]:
+    """Match a series of many views, all pairs and neighbours with loops, and compare times and tilts."""
+    tilts = tuple(np.linspace(-15.0, 15.0, n_views))
+    series, truth = simulate("fracture", SimulationOptions(tilts_deg=tilts, width_px=192, height_px=192), rng=1)
+    rows: dict[str, Any] = {}
+    for reach in (0, 3):
+        options = Options().with_settings([*_QUICK_SEARCH, f"features.pair_reach={reach}"])
+        start = time.process_time()
+        found = reconstruct(series, options, workers=1)
+        seconds = {stage.name: stage.seconds for stage in found.report.stages}
+        error = np.rad2deg(found.reconstruction.motion.tilt_rad - truth.motion.tilt_rad)
+        rows["all_pairs" if reach == 0 else f"reach_{reach}"] = {
+            "pairs": len(found.geometries),
+            "match_s": round(seconds["match"], 2),
+            "all_stages_s": round(sum(seconds.values()), 2),
+            "all_stages_cpu_s": round(time.process_time() - start, 2),
+            "tilt_rms_error_deg": round(float(np.sqrt(np.mean(error**2))), 3),
+        }
     return rows
 
 
@@ -121,6 +164,7 @@ CASES: dict[str, Case] = {
     "throughput": (throughput, ()),
     "empty-tasks-on-processes": (empty_tasks_on_processes, ()),
     "empty-tasks-on-dask": (empty_tasks_on_dask, ()),
+    **{f"views-{n}": (many_views, (n,)) for n in _MANY_VIEWS},
 }
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ def facts() -> Iterator[tuple[str, str]]:
     yield "system", f"{platform.system()} {platform.release()}, {platform.machine()}"
     yield "python", f"{platform.python_version()} ({sys.executable})"
     for package in _PACKAGES:
-        yield package, _version(package)
+        yield package.partition("-")[0], _version(package)
     yield "cores", f"{usable_cores()} usable of {os.cpu_count()}"
     yield "memory", _memory()
     blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]

@@ -14,10 +14,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from run_products import QUICK
+from run_products import QUICK, undrawn
 
 from semscape.batch.folder_run import reconstruct_folder
 from semscape.io.run_folder import RUN_FILES
+from semscape.report import figures
 
 FOLDER, OUTPUT = (Path(argument) for argument in sys.argv[-2:])
 
@@ -58,6 +59,7 @@ def ended(child: int) -> int:
 
 
 def main() -> None:
+    figures.drawn_png = undrawn
     reconstruct_folder(FOLDER, OUTPUT, QUICK, workers=1)
     shutil.rmtree(OUTPUT)
     for stage in ("detect", "match", "calibrate", "surface", "mesh", "report"):

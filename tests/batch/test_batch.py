@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from run_products import QUICK, products
+from run_products import QUICK, products, undrawn
 from typer.testing import CliRunner
 
 from semscape.batch import specimen as specimen_module
 from semscape.cli import app
+from semscape.report import figures
 
 
 @pytest.fixture
@@ -42,7 +43,7 @@ def rows(output: Path) -> dict[str, dict[str, str]]:
         return {row["name"]: row for row in csv.DictReader(file)}
 
 
-def test_a_batch_from_start_to_end(specimens: Path, tmp_path: Path, undisturbed, ran: list[str]) -> None:
+def test_a_batch_from_start_to_end(specimens: Path, tmp_path: Path, undisturbed, ran: list[str], monkeypatch) -> None:
     output = tmp_path / "out"
     done = batch(specimens, output)
     assert done.exit_code == 1, done.output
@@ -65,6 +66,7 @@ def test_a_batch_from_start_to_end(specimens: Path, tmp_path: Path, undisturbed,
     assert "<b>third</b>: " in page
     assert [stage["peak_memory_mb"] > 50 for stage in report["stages"]] == [True] * 5
 
+    monkeypatch.setattr(figures, "drawn_png", undrawn)
     # Again: what is done and what failed is kept.
     ran.clear()
     again = batch(specimens, output)

@@ -23,7 +23,7 @@ from semscape.batch.manifest import find_specimens
 from semscape.batch.record import Ending
 from semscape.batch.run import run_batch
 from semscape.cluster import Placement, Serial, WorkerLostError, local_mapper, open_executor
-from semscape.cluster.on_dask import slurm_request
+from semscape.cluster.on_slurm import slurm_request
 from semscape.cluster.processes import LocalProcesses, worker_environment
 from semscape.errors import BadInputError
 from semscape.io.run_folder import WORK_NAME
@@ -174,12 +174,16 @@ def copies(master_images: Path, root: Path, count: int) -> Path:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_dask_with_a_worker_killed_in_mid_run(cluster: Cluster, master_images, tmp_path, undisturbed) -> None:
-    root, output = copies(master_images, tmp_path / "set", 6), tmp_path / "out"
+    root, output = copies(master_images, tmp_path / "set", 4), tmp_path / "out"
     specimens = find_specimens(root, output)
 
     told: list[str] = []
+    stages: set[tuple[str, str]] = set()
 
     class Killer(Silence):
+        def event(self, name: str, stage: str) -> None:
+            stages.add((name, stage))
+
         def ended(self, ending: Ending) -> None:
             told.append(ending.record.name)
             if len(told) == 1:
@@ -189,8 +193,9 @@ def test_dask_with_a_worker_killed_in_mid_run(cluster: Cluster, master_images, t
         assert executor.workers == 2
         assert list(executor.map(square, range(5))) == [0, 1, 4, 9, 16]
         endings = run_batch(specimens, output, QUICK, executor, Killer())
-    assert [ending.record.name for ending in endings] == [f"s{i}" for i in range(6)]
-    assert sorted(told) == [f"s{i}" for i in range(6)]
+    assert [ending.record.name for ending in endings] == [f"s{i}" for i in range(4)]
+    assert sorted(told) == [f"s{i}" for i in range(4)]
+    assert {(f"s{i}", stage) for i in range(4) for stage in ("", "match", "report")} <= stages
     for ending in endings:
         assert ending.record.state == "done", ending.record.reason
         assert products(output / ending.record.name) == undisturbed
@@ -208,23 +213,33 @@ def test_no_scheduler_and_wrong_requests() -> None:
         ("cores=4", "memory is missing"),
         ("cores=4,memory=8GB,queue=x", "'queue=x' is none of partition"),
         ("cores=0,memory=8GB", "cores must be a whole number above 0"),
+        ("cores=1,memory=much", "memory must be like 32GB"),
     ):
         with pytest.raises(BadInputError, match=message):
             slurm_request(text)
 
 
+def test_slurm_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("dask_jobqueue")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with (
+        pytest.raises(BadInputError, match="there is no sbatch here"),
+        open_executor(Placement(slurm="cores=1,memory=1GB")),
+    ):
+        pass
+
+
 # A whole batch
 
 
-def test_serial_and_processes_give_the_same_bytes(master_images: Path, tmp_path: Path, undisturbed) -> None:
-    root = copies(master_images, tmp_path / "set", 2)
-    for name, placement in (("serial", Placement(workers=0)), ("processes", Placement(workers=2))):
-        output = tmp_path / name
-        with open_executor(placement) as executor:
-            endings = run_batch(find_specimens(root, output), output, QUICK, executor, Silence())
-        assert [ending.record.state for ending in endings] == ["done"] * 2
-        for specimen in ("s0", "s1"):
-            assert products(output / specimen) == undisturbed
+def test_processes_give_the_same_bytes_as_one_run_alone(master_images: Path, tmp_path: Path, undisturbed) -> None:
+    """As `Serial` does in test_batch, and Dask above."""
+    root, output = copies(master_images, tmp_path / "set", 2), tmp_path / "out"
+    with open_executor(Placement(workers=2)) as executor:
+        endings = run_batch(find_specimens(root, output), output, QUICK, executor, Silence())
+    assert [ending.record.state for ending in endings] == ["done"] * 2
+    for specimen in ("s0", "s1"):
+        assert products(output / specimen) == undisturbed
 
 
 def test_a_batch_that_is_terminated_goes_on_where_it_was(master_images: Path, tmp_path: Path, undisturbed) -> None:

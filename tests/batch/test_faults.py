@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from run_products import PRODUCTS, QUICK, products
+from run_products import PRODUCTS, QUICK, products, undrawn
 
 from semscape.batch.folder_run import OutOfMemoryError, reconstruct_folder
 from semscape.cluster.processes import worker_environment
@@ -23,8 +23,14 @@ from semscape.errors import BadInputError
 from semscape.io.finished_run import read_finished_run
 from semscape.io.lock import FolderLock
 from semscape.io.run_folder import RUN_FILES, WORK_NAME
+from semscape.report import figures
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and mounts of POSIX")
+
+
+@pytest.fixture(autouse=True)
+def no_drawings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures, "drawn_png", undrawn)
 
 
 def run(images: Path, output: Path, progress: Callable[[str, Any], None] | None = None) -> None:

@@ -64,6 +64,8 @@ def test_a_folder_of_folders(tmp_path: Path) -> None:
         ("folder,name\na,..\n", "line 2: the name '..' cannot"),
         ("folder,name\na,b\\c\n", "cannot be that of a folder"),
         ("folder,name\na,.hidden\n", "cannot be that of a folder"),
+        ("folder\na/Records\n", "the name 'Records' cannot be that of a folder; give another in the column 'name'"),
+        ("folder,name\na,summary-2.html\n", "cannot be that of a folder"),
         ("folder,name\na,x\x07\n", "cannot be that of a folder"),
         ("folder,name\na," + "x" * 201 + "\n", "cannot be that of a folder"),
         ("folder,name\n,x\n", "line 2: no folder"),

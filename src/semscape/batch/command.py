@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
 from semscape.batch.manifest import find_specimens
+from semscape.batch.record import RECORDS_NAME
 from semscape.batch.run import run_batch
 from semscape.batch.table import BatchTable
 from semscape.cluster import Placement, open_executor
@@ -40,7 +42,7 @@ def run_command(
     if spread and placement.workers == 0:
         raise BadInputError("--spread needs workers to spread over; leave out --workers 0")
     table = BatchTable(console, len(specimens), quiet=quiet)
-    with open_executor(placement) as executor, table:
+    with open_executor(replace(placement, logs=output / RECORDS_NAME)) as executor, table:
         endings = run_batch(
             specimens,
             output,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import difflib
 import io
+import re
 import unicodedata
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ COLUMNS = ("folder", "name", "tilts", "pixel_size_um", "scale_bar_um", "axis_deg
 _MOST_BYTES = 100_000_000
 _MOST_NAME_BYTES = 200
 _MOST_TOLD = 10
+_OWN_NAMES = re.compile(r"records|summary(-\d+)?\.(csv|html)", re.IGNORECASE)  # of the batch's own files
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,7 @@ def _checked_name(name: str, where: str) -> str:
         or name.endswith(".")
         or any(letter in '/\\:*?"<>|' or unicodedata.category(letter).startswith("C") for letter in name)
         or len(name.encode(errors="replace")) > _MOST_NAME_BYTES
+        or _OWN_NAMES.fullmatch(name)
     )
     if bad:
         raise BadInputError(f"{where}: the name {name!r} cannot be that of a folder; give another in the column 'name'")

@@ -90,10 +90,10 @@ class BatchTable:
         told = ", ".join(f"{count} {state}" for state, count in counts.items())
         title = f"{ended} of {self._total} specimens: {told}"
         title += f"; {elapsed:.0f} s" + ("" if left is None else f", about {left:.0f} s to go")
-        table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+        table = Table(title=title, title_justify="left", box=None, pad_edge=False, expand=True)
         for name in ("specimen", "state", "seconds"):
-            table.add_column(name, justify="right" if name == "seconds" else "left")
-        table.add_column("verdict", no_wrap=True, overflow="ellipsis")
+            table.add_column(name, justify="right" if name == "seconds" else "left", no_wrap=True)
+        table.add_column("verdict", no_wrap=True, overflow="ellipsis", ratio=1)  # what the others leave
         for ending in last:
             record = ending.record
             style = "red" if record.state == "failed" else "green"

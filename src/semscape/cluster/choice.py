@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from semscape.cluster.executor import Executor, Serial
 from semscape.cluster.processes import LocalProcesses
@@ -17,7 +18,8 @@ class Placement:
     """Where tasks run: local processes, or on a Dask `scheduler`, or on workers that `slurm` starts.
 
     `workers` is the number of local processes (0: in this process, None: one per core), `threads` the threads of
-    each task (None: its share of the cores), `memory_mb` the most memory that a task may map (0: no limit).
+    each task (None: its share of the cores), `memory_mb` the most memory that a task may map (0: no limit). What
+    SLURM's jobs print goes to the folder `logs`.
     """
 
     workers: int | None = None
@@ -25,6 +27,7 @@ class Placement:
     memory_mb: int = 0
     scheduler: str | None = None
     slurm: str | None = None
+    logs: Path = Path("slurm")
 
     def local(self) -> tuple[int, int]:
         """Return the number of local processes and the threads of each; together they fill the cores, not more.
@@ -67,9 +70,9 @@ def open_executor(placement: Placement) -> Iterator[Executor]:
         with connected(placement.scheduler, placement.threads or 1, placement.memory_mb) as on_dask:
             yield on_dask
     elif placement.slurm:
-        from semscape.cluster.on_dask import slurm
+        from semscape.cluster.on_slurm import slurm
 
-        with slurm(placement.slurm, placement.threads, placement.memory_mb) as on_dask:
+        with slurm(placement.slurm, placement.threads, placement.memory_mb, placement.logs) as on_dask:
             yield on_dask
     elif placement.workers == 0:
         yield Serial(threads)

@@ -1,4 +1,4 @@
-"""A Dask cluster: a scheduler that runs already, or one whose workers SLURM starts (extra `cluster`).
+"""A Dask cluster (extra `cluster`): tasks on the workers of a scheduler.
 
 On each thread of a Dask worker a process of our own works, as it does on a local machine: with its share of the cores,
 and with a memory of its own, so that a specimen that is too large ends that process and not the Dask worker.
@@ -7,6 +7,7 @@ and with a memory of its own, so that a specimen that is too large ends that pro
 from __future__ import annotations
 
 import threading
+import uuid
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -16,7 +17,6 @@ from semscape.cluster.processes import Worker
 from semscape.errors import BadInputError
 
 _LARGE_BYTES = 100_000
-_SLURM_KEYS = ("partition", "cores", "memory", "jobs", "walltime", "account")
 _local = threading.local()
 
 
@@ -45,14 +45,19 @@ class OnDask:
         """Yield the outcome of every item as they end; Dask itself repeats those whose worker dies."""
         from distributed import KilledWorker, as_completed
 
-        del on_event  # what a task says stays with its Dask worker
         shared: Any = pack(function)
         if len(shared) > _LARGE_BYTES:  # goes to every worker once, not along with every task
             shared = self._client.scatter(shared, broadcast=True)
         requests = [pack(item) for item in items]
+        topic = ""
+        if on_event:
+            topic = f"semscape-{uuid.uuid4()}"
+            self._client.subscribe_topic(topic, lambda event: on_event(*event[1]))
         futures = self._client.map(
             ask_in_process,
+            range(len(requests)),
             requests,
+            topic=topic,
             shared=shared,
             threads=self.threads,
             memory_mb=self._memory_mb,
@@ -78,12 +83,18 @@ class OnDask:
         return in_order(self.run(function, items))
 
 
-def ask_in_process(request: bytes, shared: bytes, threads: int, memory_mb: int) -> bytes:
-    """Have a task done by the process that belongs to this thread of this Dask worker."""
+def ask_in_process(index: int, request: bytes, topic: str, shared: bytes, threads: int, memory_mb: int) -> bytes:
+    """Have a task done by the process that belongs to this thread of this Dask worker; tell its stages to `topic`."""
+    from distributed import get_worker
+
     worker: Worker | None = getattr(_local, "worker", None)
     if worker is None:
         worker = _local.worker = Worker(threads, memory_mb)
-    return worker.ask(shared, request)
+    if not topic:
+        return worker.ask(shared, request)
+    log_event = get_worker().log_event
+    log_event(topic, (index, ""))
+    return worker.ask(shared, request, lambda text: log_event(topic, (index, text)))
 
 
 @contextmanager
@@ -95,7 +106,7 @@ def connected(scheduler: str, threads: int, memory_mb: int) -> Iterator[OnDask]:
     BadInputError
         If the extra `cluster` is not installed, no scheduler answers, or it has no worker.
     """
-    client_class = _distributed().Client
+    client_class = import_distributed().Client
     try:
         client = client_class(scheduler, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
@@ -106,66 +117,14 @@ def connected(scheduler: str, threads: int, memory_mb: int) -> Iterator[OnDask]:
         yield OnDask(client, threads, memory_mb)
 
 
-@contextmanager
-def slurm(request: str, threads: int | None, memory_mb: int) -> Iterator[OnDask]:
-    """Let SLURM start Dask workers, like "partition=main,cores=8,memory=32GB,jobs=4".
-
-    `cores` and `memory` are those of one job; a job works on cores / threads specimens at a time. `jobs` is how many
-    jobs are asked for (1), `walltime` and `account` are SLURM's.
+def import_distributed() -> Any:
+    """Return Dask's package, which the extra `cluster` brings.
 
     Raises
     ------
     BadInputError
-        For a request that is not of this form, or where the extra `cluster` is not installed.
+        If it is not installed.
     """
-    wanted = slurm_request(request)
-    distributed = _distributed()
-    from dask_jobqueue import SLURMCluster
-
-    cores = int(wanted["cores"])
-    each = min(cores, threads or 1)
-    with (
-        SLURMCluster(
-            queue=wanted.get("partition"),
-            account=wanted.get("account"),
-            walltime=wanted.get("walltime", "24:00:00"),
-            job_cpu=cores,
-            cores=max(1, cores // each),
-            processes=1,
-            memory=wanted["memory"],
-        ) as cluster,
-        distributed.Client(cluster, set_as_default=False) as client,
-    ):
-        cluster.scale(jobs=int(wanted.get("jobs", "1")))
-        client.wait_for_workers(1)
-        yield OnDask(client, each, memory_mb)
-
-
-def slurm_request(text: str) -> dict[str, str]:
-    """Return the keys and values of a `--slurm` text.
-
-    Examples
-    --------
-    >>> slurm_request("partition=main,cores=8,memory=32GB")
-    {'partition': 'main', 'cores': '8', 'memory': '32GB'}
-    """
-    form = "write partition=NAME,cores=8,memory=32GB,jobs=4"
-    wanted: dict[str, str] = {}
-    for item in text.split(","):
-        key, _, value = (part.strip() for part in item.partition("="))
-        if key not in _SLURM_KEYS or not value:
-            raise BadInputError(f"--slurm {text!r}: {item!r} is none of {', '.join(_SLURM_KEYS)}; {form}")
-        wanted[key] = value
-    for key in ("cores", "memory"):
-        if key not in wanted:
-            raise BadInputError(f"--slurm {text!r}: {key} is missing; {form}")
-    for key in ("cores", "jobs"):
-        if key in wanted and not (wanted[key].isdecimal() and int(wanted[key]) > 0):
-            raise BadInputError(f"--slurm {text!r}: {key} must be a whole number above 0; {form}")
-    return wanted
-
-
-def _distributed() -> Any:
     try:
         import distributed
     except ImportError as error:
