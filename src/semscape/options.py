@@ -62,8 +62,6 @@ _RANGES = {
     "dense.penalty_small": _POSITIVE,
     "dense.penalty_large": _POSITIVE,
     "dense.left_right_limit_px": _POSITIVE,
-    "dense.refine_sigma_px": _Range(0.5),
-    "dense.refine_iterations": _Range(1),
     "dense.mesh_max_vertices": _Range(4),
     "run.seed": _Range(0),
 }
@@ -174,21 +172,13 @@ class SfmOptions(_Stage):
 
 @dataclass(frozen=True)
 class DenseOptions(_Stage):
-    """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits.
+    """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits."""
 
-    `sharp_jumps` sweeps all views once more where windows smear depth jumps; `evidence` ends with the most probable
-    surface. Both take several times as long.
-    """
-
-    max_pairs: int = 6
+    max_pairs: int = 4
     census_radius_px: int = 3
     penalty_small: float = 4.0
     penalty_large: float = 24.0
     left_right_limit_px: float = 1.0
-    refine_sigma_px: float = 3.0
-    refine_iterations: int = 3
-    sharp_jumps: bool = False
-    evidence: bool = False
     mesh_max_vertices: int = 400_000
 
     def __post_init__(self) -> None:

@@ -73,7 +73,7 @@ def match_rows(
     _matching_cost(census1, valid1, census2, valid2, start, cost)
     level = np.zeros((height, width), np.int32)
     plain = np.zeros((height, width), np.float32)
-    total = _total_cost(cost, start, level, plain, penalty_small, penalty_large)
+    total = _total_cost(cost, start, valid1, level, plain, penalty_small, penalty_large)
     disparity = np.empty(start.shape)
     _winner(total, start, valid1, disparity)
     return disparity, _seen_from_other_side(total, start, valid1)
@@ -113,7 +113,7 @@ def least_cost(
     ----------
     Hirschmueller 2008, doi:10.1109/TPAMI.2007.1166; Scharstein, Taniai & Sinha 2017, doi:10.1109/3DV.2017.00011.
     """
-    total = _total_cost(cost, start, prior, guide, penalty_small, penalty_large)
+    total = _total_cost(cost, start, valid, prior, guide, penalty_small, penalty_large)
     label = np.empty(start.shape)
     _winner(total, start, valid, label)
     return label
@@ -122,6 +122,7 @@ def least_cost(
 def _total_cost(
     cost: NDArray[np.uint8],
     start: NDArray[np.int32],
+    valid: BoolArray,
     prior: NDArray[np.int32],
     guide: ImageArray,
     penalty_small: float,
@@ -129,8 +130,8 @@ def _total_cost(
 ) -> NDArray[np.uint16]:
     total = np.zeros(cost.shape, np.uint16)
     small, large = np.float32(np.rint(penalty_small)), np.float32(np.rint(penalty_large))
-    _aggregate(cost, start, prior, guide, small, large, total, False)
-    _aggregate(cost, start, prior, guide, small, large, total, True)
+    _aggregate(cost, start, valid, prior, guide, small, large, total, False)
+    _aggregate(cost, start, valid, prior, guide, small, large, total, True)
     return total
 
 
@@ -165,6 +166,7 @@ def _matching_cost(
 def _aggregate(
     cost: NDArray[np.uint8],
     start: NDArray[np.int32],
+    valid: BoolArray,
     prior: NDArray[np.int32],
     guide: ImageArray,
     penalty_small: np.float32,
@@ -174,7 +176,8 @@ def _aggregate(
 ) -> None:
     """Add the costs along four directions: from the left and the three above, or their opposites.
 
-    All costs are whole numbers, so that their sums are exact in any order and the compiler may use vectors.
+    Paths begin and end where pixels are not valid. All costs are whole numbers: sums of them are exact in any order, so
+    the compiler may use vectors.
     """
     height, width, n = cost.shape
     # Path costs of the previous and the current row, [path, column, label], between unreachable labels as wide as the
@@ -195,10 +198,12 @@ def _aggregate(
         row = height - 1 - r if backward else r
         for c in range(width):
             col = width - 1 - c if backward else c
+            if not valid[row, col]:
+                continue
             for k in range(n):
                 own[k] = cost[row, col, k]
                 summed[k] = 0
-            if c > 0:
+            if c > 0 and valid[row, col - step]:
                 shift = start[row, col] - start[row, col - step] - _slope(prior[row, col] - prior[row, col - step])
                 large = _jump(penalty_small, penalty_large, guide[row, col], guide[row, col - step])
                 at = middle + min(max(shift, -n), n)
@@ -209,7 +214,7 @@ def _aggregate(
             for path in range(3):
                 source = col + path - 1
                 to = (path * width + col) * stride + middle
-                if r > 0 and 0 <= source < width:
+                if r > 0 and 0 <= source < width and valid[row - step, source]:
                     change = _slope(prior[row, col] - prior[row - step, source])
                     shift = start[row, col] - start[row - step, source] - change
                     large = _jump(penalty_small, penalty_large, guide[row, col], guide[row - step, source])
