@@ -6,7 +6,7 @@ views' windows hold two surfaces; there the heights given stay the data.
 
 The noise is what the views show of it. Of what each of V views says about its own shift, a height explains one
 direction and the texture another; the V - 2 that are left are noise, in windows as wide as the surface averages over:
-drift and jitter of the scan make neighbours err alike, the more the wider the window.
+blur and jitter make neighbours err alike. What drift shifts far and wide counts for itself.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class _Noise:
     """What the views say about their noise.
 
     `variance` (H, W) of one pixel's grey value; `inflation`, how many times more the views' shifts scatter, in each of
-    the windows, than independent pixels would; and `slow`, the variance of a height, px^2, that slow errors make.
+    the windows, than independent pixels would; and `slow`, the variance of a height, px^2, that is shared far and wide.
     """
 
     variance: FloatArray
@@ -168,7 +168,12 @@ def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray) -> _Nois
     texture = np.maximum(gaussian_window(seen.slope**2, _WIDTHS_PX[-1])[good], 1e-9)
     leverage = float(((parallax - parallax.mean()) ** 2).sum())
     slow = float(np.median(scatter / texture**2) / median) / leverage
-    return _Noise(variance.astype(np.float64), inflation, slow)
+    # A shift that all pixels of a window share grows with the window's area beside independent noise. No smoothing
+    # lowers it, so it must not ask for any.
+    narrow, wide = _WIDTHS_PX[1] ** 2, _WIDTHS_PX[-1] ** 2
+    shared = max(inflation[-1] - inflation[1], 0.0) / (wide - narrow)
+    own = [max(total - shared * width**2, 1.0) for total, width in zip(inflation, _WIDTHS_PX, strict=True)]
+    return _Noise(variance.astype(np.float64), own, slow * shared * wide / inflation[-1])
 
 
 def _local_variance(height: FloatArray, known: BoolArray) -> FloatArray:
