@@ -107,7 +107,8 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
     table = LatticeTable()
     prior = Smoothness(np.full(given.shape, _START_TAU**2), np.ones(given.shape))
     held = known * (base / _GIVEN_NOISE_PX) ** 2 / _GIVEN_CORRELATED
-    stiffness, height = held, given
+    # Conjugate gradients are slow with what is smooth: they start from what is near.
+    stiffness, height = held, np.asarray(cv2.medianBlur(given.astype(np.float32), _SPIKE_PX), np.float64)
     for _ in range(_FIRST_ROUNDS):
         height = most_probable(height, DataTerm(held, held * (given - height)), cut, prior)
         prior = smoothness_by_evidence(height, held, cut, prior, table)

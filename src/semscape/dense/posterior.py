@@ -78,9 +78,9 @@ def _cut_over_two(cut: tuple[FloatArray, FloatArray, FloatArray]) -> tuple[Float
 class LatticeTable:
     """What a prior of second differences leaves open, for a stiffness that is the same everywhere.
 
-    With x = k tau^2 and S, S2 the squared responses of the second differences over one pixel and over two: `determined`
-    is the mean of S2 / S x / (x + S) over all frequencies, `whole` its limit for exact data, and the variance of a height
-    is tau^2 times `spread`, the mean of 1 / (x + S).
+    With x = k tau^2 and S, S2 the squared responses of the second differences over one pixel and over two:
+    `determined` is the mean of S2 / S x / (x + S) over all frequencies, `whole` its limit for exact data, and the
+    variance of a height is tau^2 times `spread`, the mean of 1 / (x + S).
 
     Examples
     --------

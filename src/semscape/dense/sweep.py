@@ -29,9 +29,9 @@ _REACH_PX = 9
 _WINDOW_PX = 0.8
 _SELECTION_WINDOW_PX = 1.5
 _GAIN_WINDOW_PX = 12.0
-# The pairs' disparity jumps where it spans more over 3 x 3 px; so much around it is swept.
-_JUMP_PX = 2.0
-_AROUND_PX = 8
+# The pairs' disparity jumps, sharply or smeared, where over a square of so many px it spans so many px.
+_JUMPS = ((3, 1.5), (13, 5.0))
+_AROUND_PX = 9
 _SPECK_PX = 5
 _PENALTY_SMALL = 12.0
 _PENALTY_LARGE = 120.0
@@ -106,7 +106,10 @@ def _near_jumps(start: FloatArray, baseline: float) -> BoolArray:
     unknown = np.isnan(start).astype(np.uint8)
     holes = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_SPECK_PX, _SPECK_PX), np.uint8))
     disparity = _median(filled_from_nearest(start) * baseline)
-    jump = (cv2.dilate(disparity, np.ones((3, 3))) - cv2.erode(disparity, np.ones((3, 3)))) > _JUMP_PX
+    jump = np.zeros(start.shape, bool)
+    for side, span in _JUMPS:
+        square = np.ones((side, side), np.uint8)
+        jump |= cv2.dilate(disparity, square) - cv2.erode(disparity, square) > span
     side = 2 * _AROUND_PX + 1
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     near: BoolArray = cv2.dilate(jump.astype(np.uint8) | holes, around) > 0

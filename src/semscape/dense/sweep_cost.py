@@ -21,8 +21,8 @@ def window_taps(sigma_px: float) -> NDArray[np.float32]:
 
     Examples
     --------
-    >>> window_taps(0.8).round(3).tolist()
-    [0.022, 0.228, 0.499, 0.228, 0.022]
+    >>> [f"{tap:.3f}" for tap in window_taps(0.8)]
+    ['0.022', '0.229', '0.499', '0.229', '0.022']
     """
     taps = np.exp(-0.5 * (np.arange(-_TAPS, _TAPS + 1) / sigma_px) ** 2)
     return np.asarray(taps / taps.sum(), np.float32)
