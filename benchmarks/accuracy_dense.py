@@ -135,10 +135,16 @@ def measure_stereo() -> dict[str, Any]:
     stored = np.load(folder / "motorcycle_disp.npz")
     true = np.asarray(stored[stored.files[0]], np.float64)
     true = np.where(np.isfinite(true) & (true > 0), true, np.nan)
-    valid = np.ones(left.shape, bool)
+    # Rectified frames are multiples of 64 px.
+    rim = [(0, -size % 64) for size in left.shape]
+    valid = np.pad(np.ones(left.shape, bool), rim)
     largest = float(np.nanmax(true))
-    views = [RectifiedView(image.astype(np.float32), valid, g) for image, g in ((left, 0.0), (right, -1.0))]
-    ours, seconds = timed(pair_heights, *views, (0.0, largest), DenseOptions())
+    views = [
+        RectifiedView(np.pad(image, rim, mode="edge").astype(np.float32), valid, parallax)
+        for image, parallax in ((left, 0.0), (right, -1.0))
+    ]
+    found, seconds = timed(pair_heights, *views, (0.0, largest), DenseOptions())
+    ours = found[: left.shape[0], : left.shape[1]]
     count = int(np.ceil(largest / 16 + 1)) * 16
     matcher = cv2.StereoSGBM.create(
         numDisparities=count,
@@ -151,8 +157,8 @@ def measure_stereo() -> dict[str, Any]:
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_HH,
     )
-    found, sgbm_seconds = timed(matcher.compute, left, right)
-    rival = np.where(found > 0, found / 16.0, np.nan)
+    sixteenths, sgbm_seconds = timed(matcher.compute, left, right)
+    rival = np.where(sixteenths > 0, sixteenths / 16.0, np.nan)
     return {
         "semscape": _wrong(ours, true) | {"seconds": round(seconds, 2)},
         "opencv_sgbm": _wrong(rival, true) | {"seconds": round(sgbm_seconds, 2)},

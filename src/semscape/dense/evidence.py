@@ -90,7 +90,8 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
     Parameters
     ----------
     start : (H, W) float array
-        In px, crisp at jumps; heights that are unknown (NaN), or on which no two views agree, are unknown in the end.
+        In px, crisp at jumps, NaN where unknown. Specks of a few unknown pixels are tried from their neighbours; what
+        else is unknown, and where no two views agree, is unknown in the end.
     views : Views
 
     References
@@ -101,6 +102,7 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
     known = np.isfinite(start)
     if not known.any():
         return RefinedHeights(start, start, np.zeros(start.shape, np.uint8))
+    known |= _specks(~known)
     base = views.baseline
     given = _without_spikes(filled_from_nearest(start), _JUMP_PX / base)
     cut = smoothness_cut(np.where(known, given, np.nan), _JUMP_PX / base)
@@ -141,6 +143,13 @@ def without_islands(height: FloatArray, baseline: float) -> FloatArray:
     """Drop small patches of heights (H, W) that jumps cut off from the rest."""
     island_px = max(_ISLAND_AREA_PX, int(_ISLAND_SHARE * height.size))
     return without_speckles(height * baseline, island_px) / baseline
+
+
+def _specks(unknown: BoolArray) -> BoolArray:
+    """Return what of the unknown pixels (H, W) holds no square of 5 x 5 px."""
+    square = np.ones((_SPIKE_PX, _SPIKE_PX), np.uint8)
+    specks: BoolArray = unknown & (cv2.morphologyEx(unknown.astype(np.uint8), cv2.MORPH_OPEN, square) == 0)
+    return specks
 
 
 def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray) -> _Noise:
