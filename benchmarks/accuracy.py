@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from accuracy_dense import measure_disjoint, measure_stereo, measure_surface, measure_walls
 from isolated import REAL_SETS, Case, peak_memory_mb, real_set_folder, run_cases, timed
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 _BLUR_PX = 8.0
 _DISCS = {"potamogeton1": ((412.0, 357.0), 300.0)}
+_SURFACES = ("fracture", "spheres", "vickers", "grating", "pollen")
 _SIMULATED = (("fracture", 0), ("fracture", 1), ("fracture", 2), ("spheres", 0), ("pollen", 0))
 
 
@@ -140,6 +142,9 @@ def _stage_seconds(result: Any, name: str) -> float:
 CASES: dict[str, Case] = {name: (measure_real, (name,)) for name in REAL_SETS} | {
     f"{specimen}-{seed}": (measure_simulated, (specimen, seed)) for specimen, seed in _SIMULATED
 }
+CASES |= {f"surface-{specimen}": (measure_surface, (specimen, 0)) for specimen in _SURFACES}
+CASES |= {"walls": (measure_walls, (0,)), "stereo": (measure_stereo, ())}
+CASES |= {f"disjoint-{name}": (measure_disjoint, (name,)) for name in REAL_SETS}
 
 if __name__ == "__main__":
     run_cases(CASES, "Accuracy on measured and simulated series, as JSON.")

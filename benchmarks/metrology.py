@@ -96,7 +96,6 @@ def measure_resolution(specimen: str) -> dict[str, Any]:
     import semscape
     from semscape.metrology.register import compare
     from semscape.metrology.resolution import PERIOD_PER_SIGMA, lateral_resolution, second_differences, tapered
-    from semscape.options import Options
     from semscape.simulate import SimulationOptions, simulate
 
     microscope = dataclasses.replace(SimulationOptions(), width_px=_SERIES_PX, height_px=_SERIES_PX)
@@ -116,7 +115,7 @@ def measure_resolution(specimen: str) -> dict[str, Any]:
     sigmas = np.linspace(0.5, 12, 461)
     model = np.exp(-2 * np.pi**2 * sigmas[:, None] ** 2 * frequency**2)
     misfit = ((model - transmission) ** 2 * np.sqrt(power[2:40])).sum(axis=1)
-    stated = lateral_resolution(found, 1.0, Options().dense.refine_sigma_px)
+    stated = lateral_resolution(found, 1.0)
     return {
         "stated_period_px": round(stated.period_px, 2),
         "stated_from": stated.source,

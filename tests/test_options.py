@@ -51,8 +51,6 @@ STAGES = {
         ("dense.census_radius_px", 4, ">= 1 and <= 3"),
         ("dense.penalty_small", 25.0, "<= dense.penalty_large"),
         ("dense.left_right_limit_px", 0.0, "> 0"),
-        ("dense.refine_sigma_px", 0.4, ">= 0.5"),
-        ("dense.refine_iterations", 0, ">= 1"),
         ("dense.mesh_max_vertices", 3, ">= 4"),
         ("dense.tile_px", -1, ">= 0"),
         ("mesh.triangles", -1, ">= 0"),

@@ -62,8 +62,6 @@ _RANGES = {
     "dense.penalty_small": _POSITIVE,
     "dense.penalty_large": _POSITIVE,
     "dense.left_right_limit_px": _POSITIVE,
-    "dense.refine_sigma_px": _Range(0.5),
-    "dense.refine_iterations": _Range(1),
     "dense.mesh_max_vertices": _Range(4),
     "dense.tile_px": _Range(0),
     "mesh.triangles": _Range(0),
@@ -181,21 +179,15 @@ class SfmOptions(_Stage):
 class DenseOptions(_Stage):
     """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits.
 
-    `sharp_jumps` sweeps all views once more where windows smear depth jumps; `evidence` ends with the most probable
-    surface. Both take several times as long. Fields whose sides are longer than `tile_px` are computed in tiles with
-    overlap, so that memory does not grow with them; 0 is one piece. `keep` is "all" or "specimen": without what lies on
-    the background stub.
+    Fields whose sides are longer than `tile_px` are computed in tiles with overlap, so that memory does not grow with
+    them; 0 is one piece. `keep` is "all" or "specimen": without what lies on the background stub.
     """
 
-    max_pairs: int = 6
+    max_pairs: int = 4
     census_radius_px: int = 3
     penalty_small: float = 4.0
     penalty_large: float = 24.0
     left_right_limit_px: float = 1.0
-    refine_sigma_px: float = 3.0
-    refine_iterations: int = 3
-    sharp_jumps: bool = False
-    evidence: bool = False
     mesh_max_vertices: int = 400_000
     tile_px: int = 768
     keep: str = "all"

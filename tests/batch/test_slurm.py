@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from run_products import QUICK, products
 
+from run_products import QUICK, products
 from semscape.batch.folder_run import reconstruct_folder
 from semscape.cluster.processes import worker_environment
 from semscape.io.simulated import write_simulated_series

@@ -17,7 +17,6 @@ from semscape.dense.posterior import (
     smoothness_by_evidence,
     smoothness_cut,
 )
-from semscape.dense.refine import RefinedHeights
 from synthetic_views import COLUMNS, SHAPE, look_at
 
 SMALL = (9, 11)
@@ -106,9 +105,7 @@ def test_evidence_finds_the_curvature_of_the_surface(tau: float) -> None:
 def test_refining_lowers_the_error_and_knows_it() -> None:
     true = np.tile(20 + 6 * np.sin(COLUMNS / 25), (SHAPE[0], 1))
     rough = true + np.random.default_rng(4).normal(0, 0.5, SHAPE)
-    start = RefinedHeights(rough, np.ones(SHAPE), np.full(SHAPE, 5, np.uint8))
-    views = look_at(true[0])
-    found = refine_by_evidence(start, views)
+    found = refine_by_evidence(rough, look_at(true[0]))
     inner = np.s_[15:-15, 25:-25]
     error = np.abs(found.height - true)[inner]
     assert np.sqrt(np.mean(error**2)) < 0.5 * 0.5
@@ -116,5 +113,5 @@ def test_refining_lowers_the_error_and_knows_it() -> None:
 
 
 def test_an_unknown_map_stays_unknown() -> None:
-    start = RefinedHeights(np.full(SHAPE, np.nan), np.full(SHAPE, np.nan), np.zeros(SHAPE, np.uint8))
-    assert np.isnan(refine_by_evidence(start, look_at(np.zeros(SHAPE[1]))).height).all()
+    unknown = np.full(SHAPE, np.nan)
+    assert np.isnan(refine_by_evidence(unknown, look_at(np.zeros(SHAPE[1]))).height).all()

@@ -1,4 +1,4 @@
-"""Heights of several pairs: brought to zero tilt, and fused against outliers; local planes."""
+"""Heights of several pairs: brought to zero tilt, and fused against outliers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from semscape.dense.fuse import fuse, to_zero_tilt
-from semscape.dense.smooth import local_plane_heights
 
 COLUMNS = np.arange(120, dtype=float)
 
@@ -99,27 +98,3 @@ def test_the_order_of_the_maps_does_not_matter() -> None:
     one, _ = fuse(good, [0.1, 0.2, 0.15, 0.3])
     two, _ = fuse(good[::-1], [0.3, 0.15, 0.2, 0.1])
     np.testing.assert_allclose(one, two, rtol=1e-12)
-
-
-@pytest.mark.parametrize("sigma", [1.5, 3.0])
-def test_local_planes_keep_planes_and_lower_noise(sigma: float) -> None:
-    rows, cols = np.indices((80, 90), dtype=np.float32)
-    plane = (0.05 * cols - 0.03 * rows).astype(np.float32)
-    noise = np.random.default_rng(0).normal(0, 1, plane.shape).astype(np.float32)
-    weight = np.ones_like(plane)
-    fitted = local_plane_heights(weight, weight * (plane + noise), sigma)
-    error = (fitted - plane)[20:-20, 20:-20]
-    # A Gaussian window averages 4 pi sigma^2 pixels.
-    assert error.std() == pytest.approx(1 / np.sqrt(4 * np.pi * sigma**2), rel=0.3)
-    assert abs(error.mean()) < 0.05
-
-
-def test_local_planes_take_no_notice_of_weightless_pixels() -> None:
-    cols = np.indices((60, 60), dtype=np.float32)[1]
-    plane = (0.1 * cols).astype(np.float32)
-    weight = np.ones_like(plane)
-    weight[20:40:2, 20:40:2] = 0
-    values = plane.copy()
-    values[weight == 0] = 1e4
-    fitted = local_plane_heights(weight, weight * values, 2.0)
-    np.testing.assert_allclose(fitted[15:-15, 15:-15], plane[15:-15, 15:-15], atol=0.05)

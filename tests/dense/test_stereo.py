@@ -72,7 +72,7 @@ def test_match_rows_recovers_a_constant_shift(shift: int) -> None:
     image2 = TEXTURE[:, MARGIN - shift : MARGIN - shift + SHAPE[1]].astype(np.float32)  # x2 = x1 + shift
     valid = np.ones(SHAPE, bool)
     start = np.full(SHAPE, -10, np.int32)
-    found = match_rows(census(image1, 3), valid, census(image2, 3), valid, start, 20, 4.0, 24.0)
+    found, _ = match_rows(census(image1, 3), valid, census(image2, 3), valid, start, 20, 4.0, 24.0)
     inner = found[5:-5, 20:-20]
     assert np.isfinite(inner).mean() > 0.99
     assert np.nanmedian(inner) == pytest.approx(shift, abs=0.1)
@@ -85,7 +85,7 @@ def test_match_rows_follows_a_range_of_its_own_for_every_pixel() -> None:
     valid = np.ones(SHAPE, bool)
     start = (6 - 4 + np.random.default_rng(0).integers(-2, 2, (SHAPE[0] // 10, SHAPE[1] // 10))).astype(np.int32)
     start = np.repeat(np.repeat(start, 10, axis=0), 10, axis=1)
-    found = match_rows(census(image1, 3), valid, census(image2, 3), valid, start, 10, 4.0, 24.0)
+    found, _ = match_rows(census(image1, 3), valid, census(image2, 3), valid, start, 10, 4.0, 24.0)
     assert np.nanmean(np.abs(found[5:-5, 20:-20] - 6) < 0.5) > 0.98
 
 
@@ -94,9 +94,9 @@ def test_what_is_outside_the_range_or_the_image_is_unknown() -> None:
     valid = np.ones(SHAPE, bool)
     valid[:, 100:140] = False
     words = census(image, 3)
-    found = match_rows(words, valid, words, valid, np.full(SHAPE, -4, np.int32), 9, 4.0, 24.0)
+    found, _ = match_rows(words, valid, words, valid, np.full(SHAPE, -4, np.int32), 9, 4.0, 24.0)
     assert np.isnan(found[:, 100:140]).all()
-    beyond = match_rows(words, ~valid | True, words, ~valid | True, np.full(SHAPE, 0, np.int32), 9, 4.0, 24.0)
+    beyond, _ = match_rows(words, ~valid | True, words, ~valid | True, np.full(SHAPE, 0, np.int32), 9, 4.0, 24.0)
     assert np.isnan(beyond[5:-5, 20:-20]).mean() > 0.95  # the best lies at the end of the range
 
 

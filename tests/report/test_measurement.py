@@ -59,12 +59,10 @@ def shown(measured) -> str:
 def test_a_run_says_how_far_its_heights_can_be_trusted(run_folder: Path) -> None:
     run = read_finished_run(run_folder)
     assert run.height_scale_relative_sigma == 0.012
-    assert run.window_sigma_px == Options().dense.refine_sigma_px
     assert (run.ambiguity, run.verdict[:5]) == ("none", "good:")
     assert run.height_map.pixel_size_um == 0.25
     alone = read_finished_run(run_folder / "height_map.npz")
     assert np.isnan(alone.height_scale_relative_sigma)
-    assert alone.window_sigma_px == 0
 
 
 def test_what_is_no_run_is_named(tmp_path: Path, run_folder: Path) -> None:

@@ -40,17 +40,6 @@ class ComparedViews:
         force = self.weights[view] * self.lever[view] * self.slope * residual
         return np.asarray(force, np.float32)
 
-    def texture(self) -> ImageArray:
-        """Return the stiffness (H, W) that texture makes.
-
-        The noise of one view is not in another: products of slopes of different views hold the texture alone, where
-        the plain square of the mean slope takes noise for texture.
-        """
-        own = (self.weights * self.slopes) ** 2
-        crossed = np.maximum(self.total * self.total - (self.weights * self.weights).sum(axis=0), 0.1)
-        texture = (self.slope**2 * self.total**2 - own.sum(axis=0)) / crossed * self.leverage
-        return np.asarray(texture, np.float32)
-
 
 def compare_views(
     height: FloatArray,
@@ -69,6 +58,8 @@ def compare_views(
         coverage = np.maximum(gaussian_window(weight, normalizing_px), 1e-3)
         mean = gaussian_window(value * weight, normalizing_px) / coverage
         centred = (value - mean) * weight
+        # What the mean takes from the values it takes from their slope as well.
+        slope -= gaussian_window(slope * weight, normalizing_px) / coverage
         deviation = np.sqrt(np.maximum(gaussian_window(centred * centred, normalizing_px) / coverage, 1e-6))
         values[i], slopes[i], weights[i] = centred / deviation, slope * weight / deviation, weight
     _weigh_by_agreement(values, weights, surface, normalizing_px)

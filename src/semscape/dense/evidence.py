@@ -1,14 +1,22 @@
 """The last step: the most probable surface under all views, its smoothness by evidence, its uncertainty.
 
-Beside depth jumps the views' windows hold two surfaces; there the heights of the sweep are the data. Everywhere else
-each pixel's pull counts by its noise, and by how much the views' pulls scatter together over as many pixels as the
-surface is averaged over: drift and jitter of the scan make neighbours err alike, the more the wider the window.
+First the heights given are smoothed as far as they say that the surface is smooth. Then every view is resampled at
+these heights, and what the views disagree pulls each height by its noise, round by round. Beside depth jumps the
+views' windows hold two surfaces; there the heights given stay the data.
+
+The noise is what the views show of it. Of what each of V views says about its own shift, a height explains one
+direction and the texture another; the V - 2 that are left are noise, in windows as wide as the surface averages over:
+blur and jitter make neighbours err alike. What drift shifts far and wide counts for itself.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from semscape.dense.consistency import ComparedViews, compare_views
 from semscape.dense.posterior import (
@@ -21,95 +29,169 @@ from semscape.dense.posterior import (
     smoothness_by_evidence,
     smoothness_cut,
 )
-from semscape.dense.refine import RefinedHeights
 from semscape.dense.sampling import gaussian_window
-from semscape.dense.stereo import filled_from_nearest
+from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.dense.sweep import Views
 from semscape.types import BoolArray, FloatArray
 
-_ROUNDS = 7
-_NORMALIZING_PX = 4.0
+_FIRST_ROUNDS = 3
+_ROUNDS = 4
+# Gain and offset are taken out over this neighbourhood: shading that changes with tilt is smooth beside texture.
+_NORMALIZING_PX = 2.5
+# Views that agree are counted over this one.
+_AGREEMENT_PX = 6.0
 _NOISE_PX = 6.0
 # Windows in which the scatter of the views' pulls is compared with that of independent pixels.
 _WIDTHS_PX = (1.5, 3.0, 6.0, 12.0)
+_ALL_AGREE = 0.5
+_LEAST_SAMPLE = 1000
 _JUMP_PX = 1.0
 _SPIKE_PX = 5
 _MAX_STEP_PX = 0.5
 _START_TAU = 0.5
-# Beside a jump: how far, the noise of the sweep's disparity, and over how many pixels it errs alike.
+# The noise of the given heights' disparity, and over how many pixels it errs alike.
+_GIVEN_NOISE_PX = 0.6
+_GIVEN_CORRELATED = 10.0
+# Beside a jump: how far the views' windows reach, and how well its place is known.
 _BESIDE_PX = 6
-_SWEEP_NOISE_PX = 0.6
-_SWEEP_CORRELATED = 10.0
+_PLACE_PX = 1.5
 # With two views nothing tells how their pulls scatter.
 _PAIR_INFLATION = 4.0
+# Patches smaller than this, and than this share of the field, that stand alone are chance agreements of noise.
+_ISLAND_AREA_PX = 200
+_ISLAND_SHARE = 3e-4
 
 
-def refine_by_evidence(start: RefinedHeights, views: Views) -> RefinedHeights:
+@dataclass(frozen=True)
+class RefinedHeights:
+    """Heights (H, W) with their 1-sigma uncertainty in the same unit, and the number of agreeing views."""
+
+    height: FloatArray
+    uncertainty: FloatArray
+    n_views: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """What the views say about their noise.
+
+    `variance` (H, W) of one pixel's grey value; `inflation`, how many times more the views' shifts scatter, in each of
+    the windows, than independent pixels would; and `slow`, the variance of a height, px^2, that is shared far and wide.
+    """
+
+    variance: FloatArray
+    inflation: list[float]
+    slow: float
+
+
+def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
     """Return the most probable heights near the given ones, in px, with their 1-sigma uncertainty.
 
     Parameters
     ----------
-    start : RefinedHeights
-        In px, crisp at jumps; unknown heights stay unknown.
+    start : (H, W) float array
+        In px, crisp at jumps, NaN where unknown. Specks of a few unknown pixels are tried from their neighbours; what
+        else is unknown, and where no two views agree, is unknown in the end.
     views : Views
 
     References
     ----------
-    MacKay 1992, doi:10.1162/neco.1992.4.3.415.
+    MacKay 1992, doi:10.1162/neco.1992.4.3.415; Lucas & Kanade 1981 (IJCAI).
     """
-    known = np.isfinite(start.height)
+    start = without_islands(start, views.baseline)
+    known = np.isfinite(start)
     if not known.any():
-        return start
+        return RefinedHeights(start, start, np.zeros(start.shape, np.uint8))
+    known |= _specks(~known)
     base = views.baseline
-    first = _without_spikes(filled_from_nearest(start.height), _JUMP_PX / base)
-    given = np.where(known, first, np.nan)
-    cut = smoothness_cut(given, _JUMP_PX / base)
-    beside = _beside_jumps(given, _JUMP_PX / base)
-    held = (base / _SWEEP_NOISE_PX) ** 2 / _SWEEP_CORRELATED
+    given = _without_spikes(filled_from_nearest(start), _JUMP_PX / base)
+    cut = smoothness_cut(np.where(known, given, np.nan), _JUMP_PX / base)
     table = LatticeTable()
-    prior = Smoothness(np.full(first.shape, _START_TAU**2), np.ones(first.shape))
-    width = np.full(first.shape, 3.0)
-    height = first
+    prior = Smoothness(np.full(given.shape, _START_TAU**2), np.ones(given.shape))
+    held = known * (base / _GIVEN_NOISE_PX) ** 2 / _GIVEN_CORRELATED
+    # Conjugate gradients are slow with what is smooth: they start from what is near.
+    stiffness, height = held, np.asarray(cv2.medianBlur(given.astype(np.float32), _SPIKE_PX), np.float64)
+    for _ in range(_FIRST_ROUNDS):
+        height = most_probable(height, DataTerm(held, held * (given - height)), cut, prior)
+        prior = smoothness_by_evidence(height, held, cut, prior, table)
+    beside = _beside_jumps(np.where(known, height, np.nan), _JUMP_PX / base)
     for _ in range(_ROUNDS):
+        width = np.clip(averaging_width(stiffness, known, prior, table), _WIDTHS_PX[0], _WIDTHS_PX[-1])
         seen = compare_views(height, known, views.samplers, views.parallax, _NORMALIZING_PX)
-        noise, inflation, slow = _noise(seen, known)
-        divisor = noise * np.exp(np.interp(np.log(width), np.log(_WIDTHS_PX), np.log(inflation)))
-        free_stiffness = seen.slope**2 * seen.leverage / divisor
-        stiffness = known * np.where(beside, held, free_stiffness)
-        pull = -sum(seen.pull(i) for i in range(len(views.samplers))) / divisor
-        data = DataTerm(stiffness, known * np.where(beside, held * (first - height), pull))
+        noise = _noise(seen, known, views.parallax)
+        divisor = noise.variance * np.exp(np.interp(np.log(width), np.log(_WIDTHS_PX), np.log(noise.inflation)))
+        stiffness = np.where(beside, held, known * seen.slope**2 * seen.leverage / divisor)
+        pull = -1.0 * known * sum(seen.pull(i) for i in range(len(views.samplers))) / divisor
+        data = DataTerm(stiffness, np.where(beside, held * (given - height), pull))
         moved = most_probable(height, data, cut, prior)
         height = np.clip(moved, height - _MAX_STEP_PX / base, height + _MAX_STEP_PX / base)
         prior = smoothness_by_evidence(height, stiffness, cut, prior, table)
-        width = np.clip(averaging_width(stiffness, known, prior, table), _WIDTHS_PX[0], _WIDTHS_PX[-1])
-    variance = height_variance(stiffness, known, prior, table)
-    variance = np.where(beside, np.maximum(variance, (_SWEEP_NOISE_PX / base) ** 2), variance + slow)
-    return RefinedHeights(np.where(known, height, np.nan), np.where(known, np.sqrt(variance), np.nan), start.n_views)
+    variance = height_variance(stiffness, known, prior, table) + noise.slow
+    at_jump = np.maximum(variance, (_GIVEN_NOISE_PX / base) ** 2) + _local_variance(height, known)
+    variance = np.where(beside, at_jump, variance)
+    agreeing = compare_views(height, known, views.samplers, views.parallax, _AGREEMENT_PX).weights > _ALL_AGREE
+    n_views = agreeing.sum(axis=0)
+    found = np.isfinite(without_islands(np.where(known & (n_views >= 2), height, np.nan), base))
+    return RefinedHeights(
+        np.where(found, height, np.nan),
+        np.where(found, np.sqrt(variance), np.nan),
+        np.where(found, n_views, 0).astype(np.uint8),
+    )
 
 
-def _noise(seen: ComparedViews, known: BoolArray) -> tuple[FloatArray, list[float], float]:
-    """Return what the views say about their noise.
+def without_islands(height: FloatArray, baseline: float) -> FloatArray:
+    """Drop small patches of heights (H, W) that jumps cut off from the rest."""
+    island_px = max(_ISLAND_AREA_PX, int(_ISLAND_SHARE * height.size))
+    return without_speckles(height * baseline, island_px) / baseline
 
-    The variance (H, W) of one pixel's grey value; how many times more the views' pulls scatter, in each of the
-    windows, than independent pixels do; and the variance of a height, px^2, that their slow errors make, which no
-    smoothing lowers.
-    """
+
+def _specks(unknown: BoolArray) -> BoolArray:
+    """Return what of the unknown pixels (H, W) holds no square of 5 x 5 px."""
+    square = np.ones((_SPIKE_PX, _SPIKE_PX), np.uint8)
+    specks: BoolArray = unknown & (cv2.morphologyEx(unknown.astype(np.uint8), cv2.MORPH_OPEN, square) == 0)
+    return specks
+
+
+def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray) -> _Noise:
     count = len(seen.values)
-    residual = seen.weights * (seen.values - seen.template) ** 2
-    noise = gaussian_window(residual.sum(axis=0) / np.maximum(seen.total - 1, 0.25), _NOISE_PX)
-    noise = np.maximum(noise, np.float32(1e-3))
-    stiffness = seen.slope**2 * seen.leverage
+    residual = seen.weights * (seen.values - seen.template)
+    # Shading that changes as the specimen tilts looks like a height, so noise is taken in that direction; a pixel
+    # has little part in its own height.
+    along = (seen.lever * residual).sum(axis=0) ** 2 / np.maximum(seen.leverage, np.float32(1e-9))
+    variance = np.maximum(gaussian_window(along.astype(np.float32), _NOISE_PX), np.float32(1e-3))
     if count == 2:
-        return noise.astype(np.float64), [_PAIR_INFLATION] * len(_WIDTHS_PX), 0.0
-    pulls = [seen.pull(i) for i in range(count)]
+        return _Noise(variance.astype(np.float64), [_PAIR_INFLATION] * len(_WIDTHS_PX), 0.0)
+    good = known & (seen.weights.min(axis=0) > _ALL_AGREE)
+    good = good if good.sum() > _LEAST_SAMPLE else known
+    explained = np.column_stack([np.ones(count), parallax])
+    unexplained = np.eye(count) - explained @ np.linalg.pinv(explained)
+    alone = np.maximum(gaussian_window((residual**2).sum(axis=0) / (count - 1), _NOISE_PX), np.float32(1e-3))
+    freedom = count - 2
+    # The median of a mean of squares lies below the mean.
+    median = chi2.ppf(0.5, freedom) / freedom
     inflation = []
     for width in _WIDTHS_PX:
-        squares = np.stack([gaussian_window(pull, width)[known] ** 2 for pull in pulls])
-        scatter = squares.sum(axis=0) * count / (count - 2)
-        alone = gaussian_window(noise * stiffness, width / np.sqrt(2.0))[known] / (4 * np.pi * width**2)
-        inflation.append(max(float(np.median(scatter / np.maximum(alone, 1e-12))), 1.0))
-    slow = scatter / np.maximum(gaussian_window(stiffness, _WIDTHS_PX[-1])[known], 1e-9) ** 2
-    return noise.astype(np.float64), inflation, float(np.median(slow))
+        shifts = np.stack([gaussian_window(seen.slope * view, width)[good] for view in residual])
+        scatter = ((unexplained @ shifts) ** 2).sum(axis=0) / freedom
+        independent = gaussian_window(alone * seen.slope**2, width / np.sqrt(2.0))[good] / (4 * np.pi * width**2)
+        inflation.append(max(float(np.median(scatter / np.maximum(independent, 1e-12)) / median), 1.0))
+    texture = np.maximum(gaussian_window(seen.slope**2, _WIDTHS_PX[-1])[good], 1e-9)
+    leverage = float(((parallax - parallax.mean()) ** 2).sum())
+    slow = float(np.median(scatter / texture**2) / median) / leverage
+    # A shift that all pixels of a window share grows with the window's area beside independent noise. No smoothing
+    # lowers it, so it must not ask for any.
+    narrow, wide = _WIDTHS_PX[1] ** 2, _WIDTHS_PX[-1] ** 2
+    shared = max(inflation[-1] - inflation[1], 0.0) / (wide - narrow)
+    own = [max(total - shared * width**2, 1.0) for total, width in zip(inflation, _WIDTHS_PX, strict=True)]
+    return _Noise(variance.astype(np.float64), own, slow * shared * wide / inflation[-1])
+
+
+def _local_variance(height: FloatArray, known: BoolArray) -> FloatArray:
+    """Return how far heights (H, W) differ where the place of a jump may lie."""
+    share = np.maximum(gaussian_window(known.astype(np.float32), _PLACE_PX), 1e-3)
+    mean = gaussian_window((height * known).astype(np.float32), _PLACE_PX) / share
+    square = gaussian_window(((height - mean) ** 2 * known).astype(np.float32), _PLACE_PX)
+    return np.asarray(square / share, np.float64)
 
 
 def _without_spikes(height: FloatArray, limit: float) -> FloatArray:

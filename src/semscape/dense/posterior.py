@@ -4,7 +4,9 @@ Every pixel's height has a stiffness k (how fast the views' disagreement grows w
 The prior is second-order smoothness: differences D h of second order are noise of variance tau^2, of its own at
 every place, and it is cut at depth jumps. The most probable heights solve (k + D' W D / tau^2) h = k h0 + pull.
 tau^2 is not chosen: it is the one that makes the data most probable (MacKay 1992), by the fixed point
-tau^2 = mean (D h)^2 / gamma, where gamma, the share of the curvature that the data determine, follows from k tau^2.
+tau^2 = mean (D2 h)^2 / gamma. D2 are second differences over two pixels, for blurred images say nothing about finer
+ones and those would make every surface smooth; gamma, what the data determine of them in units of tau^2, follows from
+k tau^2.
 
 References: MacKay 1992, doi:10.1162/neco.1992.4.3.415.
 """
@@ -49,27 +51,43 @@ def smoothness_cut(height: FloatArray, limit: float) -> tuple[FloatArray, FloatA
     return xx, yy, xy
 
 
-def second_differences(height: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the second differences xx, yy (at their middle) and xy (at its upper left), (H, W), 0 at the border."""
+def second_differences(height: FloatArray, over: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the second differences xx, yy (at their middle) and xy (at its upper left), (H, W), 0 at the border.
+
+    They are taken over `over` pixels; those of xy for more than one pixel stand at their middle, too.
+    """
     xx, yy, xy = (np.zeros(height.shape) for _ in range(3))
-    xx[:, 1:-1] = height[:, :-2] - 2 * height[:, 1:-1] + height[:, 2:]
-    yy[1:-1] = height[:-2] - 2 * height[1:-1] + height[2:]
-    xy[:-1, :-1] = height[:-1, :-1] - height[:-1, 1:] - height[1:, :-1] + height[1:, 1:]
+    n = over
+    xx[:, n:-n] = height[:, : -2 * n] - 2 * height[:, n:-n] + height[:, 2 * n :]
+    yy[n:-n] = height[: -2 * n] - 2 * height[n:-n] + height[2 * n :]
+    first = n // 2
+    rows, cols = (slice(first, size - n + first) for size in height.shape)
+    xy[rows, cols] = height[:-n, :-n] - height[:-n, n:] - height[n:, :-n] + height[n:, n:]
+    return xx, yy, xy
+
+
+def _cut_over_two(cut: tuple[FloatArray, FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the weights of second differences over two pixels: 0 where one over one pixel within them is cut."""
+    xx, yy, xy = (np.zeros(weight.shape) for weight in cut)
+    xx[:, 1:-1] = cut[0][:, :-2] * cut[0][:, 2:]
+    yy[1:-1] = cut[1][:-2] * cut[1][2:]
+    xy[1:, 1:] = cut[2][1:, 1:] * cut[2][:-1, 1:] * cut[2][1:, :-1] * cut[2][:-1, :-1]
     return xx, yy, xy
 
 
 class LatticeTable:
     """What a prior of second differences leaves open, for a stiffness that is the same everywhere.
 
-    With x = k tau^2 and S the squared response of the second differences: `determined` is the mean of x / (x + S)
-    over all frequencies, and the variance of a height is tau^2 times `spread`, the mean of 1 / (x + S).
+    With x = k tau^2 and S, S2 the squared responses of the second differences over one pixel and over two:
+    `determined` is the mean of S2 / S x / (x + S) over all frequencies, `whole` its limit for exact data, and the
+    variance of a height is tau^2 times `spread`, the mean of 1 / (x + S).
 
     Examples
     --------
     Data that are stiff beside the prior determine everything:
 
     >>> table = LatticeTable()
-    >>> bool(table.determined(np.array(1e7)) > 0.99)
+    >>> bool(table.determined(np.array(1e7)) > 0.99 * table.whole)
     True
     >>> bool(abs(table.spread(np.array(1e7)) * 1e7 - 1) < 0.01)
     True
@@ -79,13 +97,16 @@ class LatticeTable:
         frequency = 2 * np.pi * (np.arange(_LATTICE) + 0.5) / _LATTICE
         response = 2 - 2 * np.cos(frequency)
         squared = (response[:, None] + response[None, :]) ** 2
+        over_two = 2 - 2 * np.cos(2 * frequency)
+        ratio = (over_two[:, None] + over_two[None, :]) ** 2 / squared
+        self.whole = float(ratio.mean())
         self._log = np.linspace(-12.0, 18.0, 121)
         x = np.exp(self._log)[:, None, None]
-        self._log_determined = np.log((x / (x + squared)).mean(axis=(1, 2)))
+        self._log_determined = np.log((ratio * x / (x + squared)).mean(axis=(1, 2)))
         self._log_spread = np.log((1 / (x + squared)).mean(axis=(1, 2)))
 
     def determined(self, x: FloatArray) -> FloatArray:
-        """Return the share of the curvature that the data determine."""
+        """Return what the data determine of the curvature over two pixels, in units of tau^2."""
         return np.asarray(np.exp(np.interp(np.log(x), self._log, self._log_determined)), np.float64)
 
     def spread(self, x: FloatArray) -> FloatArray:
@@ -109,14 +130,16 @@ def smoothness_by_evidence(
     table: LatticeTable,
 ) -> Smoothness:
     """Take one step of MacKay's fixed point; places of much more curvature than their neighbours weigh less."""
-    curvature = sum(w * d * d for w, d in zip((cut[0], cut[1], 2 * cut[2]), second_differences(height), strict=True))
-    counted = (cut[0] + cut[1] + 2 * cut[2]) / 4
+    xx, yy, xy = _cut_over_two(cut)
+    differences = second_differences(height, 2)
+    curvature = sum(w * d * d for w, d in zip((xx, yy, 2 * xy), differences, strict=True))
+    counted = (xx + yy + 2 * xy) / 4
     determined = table.determined(np.clip(_local(stiffness, counted, _STIFFNESS_PX) * before.variance, 1e-5, 1e7))
-    left_open = (1 - determined) * before.variance
+    left_open = (table.whole - determined) * before.variance
     here = _local(np.asarray(curvature), counted, 1.0) / np.maximum(_local(counted, None, 1.0), 1e-3)
-    weight = (_STUDENT + 1) / (_STUDENT + (here + left_open) / before.variance)
+    weight = (_STUDENT + 1) / (_STUDENT + (here + left_open) / (table.whole * before.variance))
     mean = _local(weight * np.asarray(curvature), None, _LOCAL_PX) / np.maximum(_local(counted, None, _LOCAL_PX), 1e-3)
-    ratio = mean / np.maximum(determined, 0.02) / before.variance
+    ratio = mean / np.maximum(determined, 0.02 * table.whole) / before.variance
     variance = before.variance * np.clip(ratio, 0.5, 2.0) ** _HASTE
     return Smoothness(np.clip(variance, 1e-6, 1e4), weight)
 

@@ -27,6 +27,7 @@ class ViewSampler:
         along += cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32) * np.float32(direction[1])
         self.image, self.along = smooth, along
         self.mask = view.mask.astype(np.float32)
+        self.view_from_grid = view_from_grid
         self.x0, self.y0 = grid_in_view(view_from_grid, shape)
         self.px_per_height = px_per_height
 

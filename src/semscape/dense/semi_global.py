@@ -28,14 +28,12 @@ def census(image: ImageArray, radius: int) -> CensusArray:
     height, width = image.shape
     words = np.zeros((height, width), np.uint64)
     for row in range(radius, height - radius):
-        for col in range(radius, width - radius):
-            centre = image[row, col]
-            word = np.uint64(0)
-            for dy in range(-radius, radius + 1):
-                for dx in range(-radius, radius + 1):
-                    if dx != 0 or dy != 0:
-                        word = (word << np.uint64(1)) | np.uint64(image[row + dy, col + dx] < centre)
-            words[row, col] = word
+        for dy in range(-radius, radius + 1):
+            for dx in range(-radius, radius + 1):
+                if dx != 0 or dy != 0:
+                    for col in range(radius, width - radius):
+                        darker = np.uint64(image[row + dy, col + dx] < image[row, col])
+                        words[row, col] = (words[row, col] << np.uint64(1)) | darker
     return words
 
 
@@ -48,7 +46,7 @@ def match_rows(
     n_disparities: int,
     penalty_small: float,
     penalty_large: float,
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """Match rows of image 1 to rows of image 2.
 
     Parameters
@@ -65,15 +63,20 @@ def match_rows(
 
     Returns
     -------
-    (H, W) float array
+    disparity : (H, W) float array
         Sub-pixel disparity in px; NaN where image 1 is invalid or the best one lies at the end of the range.
+    back : (H, W) float array
+        Disparity from image 2 to image 1 in whole px, from the same costs; NaN where no range leads.
     """
     height, width = start.shape
     cost = np.empty((height, width, n_disparities), np.uint8)
     _matching_cost(census1, valid1, census2, valid2, start, cost)
     level = np.zeros((height, width), np.int32)
     plain = np.zeros((height, width), np.float32)
-    return least_cost(cost, start, valid1, level, plain, penalty_small, penalty_large)
+    total = _total_cost(cost, start, valid1, level, plain, penalty_small, penalty_large)
+    disparity = np.empty(start.shape)
+    _winner(total, start, valid1, disparity)
+    return disparity, _seen_from_other_side(total, start, valid1)
 
 
 def least_cost(
@@ -110,13 +113,26 @@ def least_cost(
     ----------
     Hirschmueller 2008, doi:10.1109/TPAMI.2007.1166; Scharstein, Taniai & Sinha 2017, doi:10.1109/3DV.2017.00011.
     """
-    total = np.zeros(cost.shape, np.uint16)
-    small, large = np.float32(penalty_small), np.float32(penalty_large)
-    _aggregate(cost, start, prior, guide, small, large, total, False)
-    _aggregate(cost, start, prior, guide, small, large, total, True)
+    total = _total_cost(cost, start, valid, prior, guide, penalty_small, penalty_large)
     label = np.empty(start.shape)
     _winner(total, start, valid, label)
     return label
+
+
+def _total_cost(
+    cost: NDArray[np.uint8],
+    start: NDArray[np.int32],
+    valid: BoolArray,
+    prior: NDArray[np.int32],
+    guide: ImageArray,
+    penalty_small: float,
+    penalty_large: float,
+) -> NDArray[np.uint16]:
+    total = np.zeros(cost.shape, np.uint16)
+    small, large = np.float32(np.rint(penalty_small)), np.float32(np.rint(penalty_large))
+    _aggregate(cost, start, valid, prior, guide, small, large, total, False)
+    _aggregate(cost, start, valid, prior, guide, small, large, total, True)
+    return total
 
 
 @njit(cache=True, nogil=True)
@@ -150,6 +166,7 @@ def _matching_cost(
 def _aggregate(
     cost: NDArray[np.uint8],
     start: NDArray[np.int32],
+    valid: BoolArray,
     prior: NDArray[np.int32],
     guide: ImageArray,
     penalty_small: np.float32,
@@ -157,51 +174,57 @@ def _aggregate(
     total: NDArray[np.uint16],
     backward: bool,
 ) -> None:
-    """Add the costs along four directions: from the left and the three above, or their opposites."""
+    """Add the costs along four directions: from the left and the three above, or their opposites.
+
+    Paths begin and end where pixels are not valid. All costs are whole numbers: sums of them are exact in any order, so
+    the compiler may use vectors.
+    """
     height, width, n = cost.shape
-    # Path costs of the previous and the current row: [path, column, 1 .. n], framed by unreachable ends.
-    above = np.full((3, width, n + 2), _FAR, np.float32)
-    here = np.full((3, width, n + 2), _FAR, np.float32)
+    # Path costs of the previous and the current row, [path, column, label], between unreachable labels as wide as the
+    # range itself: to a range that starts elsewhere leads another offset, and no branch.
+    stride = 3 * n + 2
+    middle = n + 1
+    above = np.full(3 * width * stride, _FAR, np.float32)
+    here = np.full(3 * width * stride, _FAR, np.float32)
     above_least = np.zeros((3, width), np.float32)
     here_least = np.zeros((3, width), np.float32)
-    side = np.full((2, n + 2), _FAR, np.float32)
+    left = np.full(stride, _FAR, np.float32)
+    side = np.full(stride, _FAR, np.float32)
+    left_least = np.float32(0)
+    own = np.empty(n, np.float32)
+    summed = np.empty(n, np.float32)
     step = -1 if backward else 1
     for r in range(height):
         row = height - 1 - r if backward else r
-        side_least = np.float32(0)
         for c in range(width):
             col = width - 1 - c if backward else c
-            previous = col - step
-            if c > 0:
-                side_least = _extend(
-                    cost[row, col],
-                    side[(c + 1) % 2],
-                    side_least,
-                    start[row, col] - start[row, previous] - _slope(prior[row, col] - prior[row, previous]),
-                    penalty_small,
-                    max(penalty_small, penalty_large / _contrast(guide[row, col], guide[row, previous])),
-                    side[c % 2],
-                    total[row, col],
-                )
+            if not valid[row, col]:
+                continue
+            for k in range(n):
+                own[k] = cost[row, col, k]
+                summed[k] = 0
+            if c > 0 and valid[row, col - step]:
+                shift = start[row, col] - start[row, col - step] - _slope(prior[row, col] - prior[row, col - step])
+                large = _jump(penalty_small, penalty_large, guide[row, col], guide[row, col - step])
+                at = middle + min(max(shift, -n), n)
+                left_least = _extend(own, left, at, left_least, penalty_small, large, side, middle, summed)
             else:
-                side_least = _begin(cost[row, col], side[0], total[row, col])
+                left_least = _begin(own, side, middle, summed)
+            left, side = side, left
             for path in range(3):
-                source = col + (path - 1)
-                if r > 0 and 0 <= source < width:
-                    here_least[path, col] = _extend(
-                        cost[row, col],
-                        above[path, source],
-                        above_least[path, source],
-                        start[row, col]
-                        - start[row - step, source]
-                        - _slope(prior[row, col] - prior[row - step, source]),
-                        penalty_small,
-                        max(penalty_small, penalty_large / _contrast(guide[row, col], guide[row - step, source])),
-                        here[path, col],
-                        total[row, col],
-                    )
+                source = col + path - 1
+                to = (path * width + col) * stride + middle
+                if r > 0 and 0 <= source < width and valid[row - step, source]:
+                    change = _slope(prior[row, col] - prior[row - step, source])
+                    shift = start[row, col] - start[row - step, source] - change
+                    large = _jump(penalty_small, penalty_large, guide[row, col], guide[row - step, source])
+                    at = (path * width + source) * stride + middle + min(max(shift, -n), n)
+                    least = above_least[path, source]
+                    here_least[path, col] = _extend(own, above, at, least, penalty_small, large, here, to, summed)
                 else:
-                    here_least[path, col] = _begin(cost[row, col], here[path, col], total[row, col])
+                    here_least[path, col] = _begin(own, here, to, summed)
+            for k in range(n):
+                total[row, col, k] += np.uint16(summed[k])
         above, here = here, above
         above_least, here_least = here_least, above_least
 
@@ -213,54 +236,46 @@ def _slope(change: int) -> int:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _contrast(value1: np.float32, value2: np.float32) -> np.float32:
-    return np.float32(1) + _EDGE_WEIGHT * abs(value1 - value2)
+def _jump(penalty_small: np.float32, penalty_large: np.float32, value1: np.float32, value2: np.float32) -> np.float32:
+    """Return what a jump costs between two grey values, a whole number."""
+    contrast = np.float32(1) + _EDGE_WEIGHT * abs(value1 - value2)
+    return max(penalty_small, np.float32(np.rint(penalty_large / contrast)))
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _begin(cost: NDArray[np.uint8], path: NDArray[np.float32], total: NDArray[np.uint16]) -> np.float32:
+def _begin(own: NDArray[np.float32], path: NDArray[np.float32], to: int, summed: NDArray[np.float32]) -> np.float32:
     least = _FAR
-    for k in range(len(cost)):
-        value = np.float32(cost[k])
-        path[k + 1] = value
-        total[k] += np.uint16(value)
-        least = min(least, value)
+    for k in range(len(own)):
+        path[to + k] = own[k]
+        summed[k] += own[k]
+        least = min(least, own[k])
     return least
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
 def _extend(
-    cost: NDArray[np.uint8],
+    own: NDArray[np.float32],
     before: NDArray[np.float32],
+    at: int,
     before_least: np.float32,
-    shift: int,
     penalty_small: np.float32,
     penalty_large: np.float32,
     path: NDArray[np.float32],
-    total: NDArray[np.uint16],
+    to: int,
+    summed: NDArray[np.float32],
 ) -> np.float32:
-    """Extend a path by one pixel whose range starts `shift` later; return the least of its new costs."""
-    n = len(cost)
+    """Extend the path at `before[at :]` by one pixel into `path[to :]`; return the least of its new costs."""
     jump = before_least + penalty_large
-    if shift == 0:
-        for k in range(n):
-            best = min(min(before[k], before[k + 2]) + penalty_small, min(before[k + 1], jump))
-            path[k + 1] = np.float32(cost[k]) + (best - before_least)
-    else:
-        for k in range(n):
-            at = k + shift
-            best = jump
-            if 0 <= at < n:
-                best = min(best, before[at + 1])
-            if 1 <= at <= n:
-                best = min(best, before[at] + penalty_small)
-            if -1 <= at < n - 1:
-                best = min(best, before[at + 2] + penalty_small)
-            path[k + 1] = np.float32(cost[k]) + (best - before_least)
     least = _FAR
-    for k in range(n):
-        least = min(least, path[k + 1])
-        total[k] += np.uint16(path[k + 1])
+    for k in range(len(own)):
+        lower, same, upper = before[at + k - 1], before[at + k], before[at + k + 1]
+        best = (lower if lower < upper else upper) + penalty_small
+        best = best if best < same else same
+        best = best if best < jump else jump
+        value = own[k] + (best - before_least)
+        path[to + k] = value
+        summed[k] += value
+        least = least if least < value else value
     return least
 
 
@@ -285,3 +300,22 @@ def _winner(total: NDArray[np.uint16], start: NDArray[np.int32], valid: BoolArra
             rise = max(left, right) - middle
             offset = (left - right) / (2 * rise) if rise > 0 else 0.0
             disparity[row, col] = start[row, col] + best + offset
+
+
+@njit(cache=True, nogil=True)
+def _seen_from_other_side(total: NDArray[np.uint16], start: NDArray[np.int32], valid: BoolArray) -> FloatArray:
+    """Return the disparity (H, W) of least total cost at each pixel of image 2, in whole px, NaN where none leads."""
+    height, width, n = total.shape
+    disparity = np.full((height, width), np.nan)
+    least = np.empty(width, np.uint16)
+    for row in range(height):
+        least[:] = np.uint16(65535)
+        for col in range(width):
+            if not valid[row, col]:
+                continue
+            first = col + start[row, col]
+            for k in range(max(0, -first), min(n, width - first)):
+                if total[row, col, k] < least[first + k]:
+                    least[first + k] = total[row, col, k]
+                    disparity[row, first + k] = -(start[row, col] + k)
+    return disparity

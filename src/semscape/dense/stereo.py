@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
 from semscape.dense.semi_global import census, match_rows
 from semscape.options import DenseOptions
@@ -48,24 +47,21 @@ def pair_heights(
     ends = sorted(baseline * height for height in height_range_px)
     low, high = ends[0] - _RANGE_MARGIN_PX, ends[1] + _RANGE_MARGIN_PX
     pyramid1, pyramid2 = _pyramid(view1, high - low), _pyramid(view2, high - low)
-    forward = backward = None
+    forward: FloatArray | None = None
     levels: list[FloatArray] = []
     for level in range(len(pyramid1) - 1, -1, -1):
         (image1, valid1), (image2, valid2) = pyramid1[level], pyramid2[level]
         scale = 2.0**level
         census1, census2 = census(image1, options.census_radius_px), census(image2, options.census_radius_px)
-        if forward is None or backward is None:
+        if forward is None:
             n = int(np.ceil((high - low) / scale)) + 3
-            start1 = np.full(image1.shape, int(np.floor(low / scale)) - 1, np.int32)
-            start2 = np.full(image1.shape, int(np.floor(-high / scale)) - 1, np.int32)
+            start = np.full(image1.shape, int(np.floor(low / scale)) - 1, np.int32)
         else:
             n = _FINE_DISPARITIES
-            start1, start2 = _finer_start(forward, n), _finer_start(backward, n)
+            start = _finer_start(forward, n)
         small, large = options.penalty_small, options.penalty_large
-        right = match_rows(census1, valid1, census2, valid2, start1, n, small, large)
-        left = match_rows(census2, valid2, census1, valid1, start2, n, small, large)
-        forward = consistent(right, left, options.left_right_limit_px)
-        backward = consistent(left, right, options.left_right_limit_px)
+        there, back = match_rows(census1, valid1, census2, valid2, start, n, small, large)
+        forward = consistent(there, back, options.left_right_limit_px)
         levels.append(forward)
     return without_speckles(_finest_known(levels), _SPECKLE_AREA_PX) / baseline
 
@@ -106,8 +102,14 @@ def filled_from_nearest(values: FloatArray) -> FloatArray:
     known = np.isfinite(values)
     if not known.any():
         return np.zeros_like(values)
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    filled: FloatArray = values[tuple(nearest)]
+    if known.all():
+        return values
+    _, nearest = cv2.distanceTransformWithLabels(
+        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    value_of = np.empty(int(nearest.max()) + 1)
+    value_of[nearest[known]] = values[known]
+    filled: FloatArray = value_of[nearest]
     return filled
 
 
@@ -131,9 +133,9 @@ def _finer_start(coarse: FloatArray, n_disparities: int) -> NDArray[np.int32]:
     Where the neighbourhood spans a depth jump that still fits the range, the range is laid across it, so that
     fine structures beside the jump are not lost; unknown pixels take the nearest known value.
     """
-    filled = filled_from_nearest(coarse)
-    filled = cv2.medianBlur(filled.astype(np.float32), 5).astype(np.float64)
-    low, high = minimum_filter(filled, 5), maximum_filter(filled, 5)
+    filled = cv2.medianBlur(filled_from_nearest(coarse).astype(np.float32), 5)
+    square = np.ones((5, 5), np.uint8)
+    low, high = cv2.erode(filled, square), cv2.dilate(filled, square)
     fits = 2 * (high - low) < n_disparities - 6
     middle = np.where(fits, (low + high) / 2, filled)
     fine = np.repeat(np.repeat(2 * middle, 2, axis=0), 2, axis=1)

@@ -12,9 +12,7 @@ import numpy as np
 
 from semscape.dense.evidence import refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
-from semscape.dense.parallel import as_parallel
 from semscape.dense.rectify import Frame, grid_pixel_size_um, rectified_frame, warp_to_frame
-from semscape.dense.refine import RefinedHeights, refine_heights, without_islands
 from semscape.dense.sampling import ViewSampler, common_parallax, grid_in_view
 from semscape.dense.stereo import RectifiedView, pair_heights
 from semscape.dense.sweep import Views, sharpen_jumps
@@ -30,7 +28,6 @@ _WIDEST_TILT_RAD = np.deg2rad(30.0)
 _RANGE_MARGIN = 0.15
 _JUMP_PX = 1.0
 _SWEEP_PRESMOOTH_PX = 0.5
-_SWEEP_NOISE_PX = 0.6
 _EVIDENCE_PRESMOOTH_PX = 0.7
 
 
@@ -61,7 +58,6 @@ def dense_surface(
     DegenerateGeometryError
         When no two views differ enough in tilt.
     """
-    series = as_parallel(series, reconstruction)
     frame = rectified_frame(series, reconstruction)
     pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
     if not pairs:
@@ -75,7 +71,7 @@ def dense_surface(
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
     del views, heights  # the refinement needs the memory
-    return DenseSurface(_refined_map(series, reconstruction, frame, fused, options), tuple(pairs))
+    return DenseSurface(_refined_map(series, reconstruction, frame, fused), tuple(pairs))
 
 
 def choose_pairs(tilt_rad: FloatArray, max_pairs: int) -> list[tuple[int, int]]:
@@ -117,9 +113,7 @@ def height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float
     return float(low - margin), float(high + margin)
 
 
-def _refined_map(
-    series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray, options: DenseOptions
-) -> HeightMap:
+def _refined_map(series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray) -> HeightMap:
     pixel_size = grid_pixel_size_um(series, reconstruction)
     rows, columns = series.shape
     world_from_grid = np.diag([pixel_size, -pixel_size, 1.0, 1.0])
@@ -131,7 +125,6 @@ def _refined_map(
     view_from_grid = matrices[:, :, :2] @ plane_from_grid
     view_from_grid[:, :, 2] += reconstruction.motion.translation_px
     px_per_height = matrices[:, :, 2] * pixel_size
-    refined = refine_heights(start_px, series.views, view_from_grid, px_per_height, options)
     direction, parallax = common_parallax(px_per_height)
 
     def views(presmooth_px: float) -> Views:
@@ -141,10 +134,8 @@ def _refined_map(
         )
         return Views(samplers, parallax, reconstruction.reference)
 
-    if options.sharp_jumps:
-        refined = with_sharp_jumps(start_px, refined, views(_SWEEP_PRESMOOTH_PX))
-    if options.evidence:
-        refined = refine_by_evidence(refined, views(_EVIDENCE_PRESMOOTH_PX))
+    sharp_px = sharpen_jumps(start_px, views(_SWEEP_PRESMOOTH_PX))
+    refined = refine_by_evidence(sharp_px, views(_EVIDENCE_PRESMOOTH_PX))
     return HeightMap(
         height_um=refined.height * pixel_size,
         uncertainty_um=refined.uncertainty * pixel_size,
@@ -154,16 +145,6 @@ def _refined_map(
         world_from_grid=world_from_grid,
         length_unit=series.length_unit,
     )
-
-
-def with_sharp_jumps(start_px: FloatArray, smooth: RefinedHeights, views: Views) -> RefinedHeights:
-    """Replace refined heights where a sweep through all views agrees better; small patches that it adds go again."""
-    sharp = sharpen_jumps(start_px, smooth.height, views)
-    height = without_islands(sharp.height, views.baseline)
-    known = np.isfinite(height)
-    sigma = np.where(sharp.replaced, _SWEEP_NOISE_PX / views.baseline, smooth.uncertainty)
-    n_views = np.where(known, np.where(sharp.replaced, sharp.n_views, smooth.n_views), 0).astype(np.uint8)
-    return RefinedHeights(height, np.where(known, sigma, np.nan), n_views)
 
 
 def resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, shape: tuple[int, int]) -> FloatArray:

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from semscape.dense.consistency import compare_views
 from semscape.dense.sampling import ViewSampler, gaussian_window
 from semscape.dense.semi_global import least_cost
 from semscape.dense.stereo import filled_from_nearest, without_speckles
+from semscape.dense.sweep_cost import LARGEST_DIFFERENCE, fill_costs, window_taps
 from semscape.types import BoolArray, FloatArray, ImageArray
 
 _STEP_PX = 0.5
@@ -29,11 +29,10 @@ _REACH_PX = 9
 _WINDOW_PX = 0.8
 _SELECTION_WINDOW_PX = 1.5
 _GAIN_WINDOW_PX = 12.0
-# A difference between views is cut off at so many sigmas of noise; costs are counted in twentieths of a sigma.
-_LARGEST_DIFFERENCE = 3.0
-_COST_UNIT = 20.0
-# One side's views must agree better than all by this to be believed alone: they are fewer.
-_ONE_SIDED = 0.4
+# The pairs' disparity jumps, sharply or smeared, where over a square of so many px it spans so many px.
+_JUMPS = ((3, 1.5), (13, 5.0))
+_AROUND_PX = 9
+_SPECK_PX = 5
 _PENALTY_SMALL = 12.0
 _PENALTY_LARGE = 120.0
 # Of one view; of n views' mean a difference by chance is sqrt(n) smaller.
@@ -74,69 +73,96 @@ class _Brightness:
     noise: float
 
 
-@dataclass(frozen=True)
-class Sharpened:
-    """Heights (H, W) px, where they are not those given, and how many views agree on the new ones."""
-
-    height: FloatArray
-    replaced: BoolArray
-    n_views: NDArray[np.uint8]
-
-
-def sharpen_jumps(start: FloatArray, refined: FloatArray, views: Views) -> Sharpened:
+def sharpen_jumps(start: FloatArray, views: Views) -> FloatArray:
     """Replace the heights that a depth jump has smeared, and add those that the views agree on.
+
+    Only jumps, unknown places and their surroundings are swept.
 
     Parameters
     ----------
     start : (H, W) float array
-        Heights of the pairs, in px, NaN where unknown; they tell the range to sweep.
-    refined : (H, W) float array
-        Heights to be kept where nothing agrees better; NaN where unknown.
+        Heights of the pairs, in px, NaN where unknown; kept where nothing agrees better.
     views : Views
     """
-    if not np.isfinite(start).any():
-        return Sharpened(refined, np.zeros(refined.shape, bool), np.zeros(refined.shape, np.uint8))
+    wanted = _near_jumps(start, views.baseline)
+    if not np.isfinite(start).any() or not wanted.any():
+        return start
     step = _STEP_PX / views.baseline
     filled = _median(filled_from_nearest(start))
     first = _first_label(filled, step)
     level = np.zeros(first.shape, np.int32)
     # At first brightness is compared over the whole field: beside a smeared jump the wrong places lie in any window.
-    found = _sweep(first, step, level, views, _brightness(filled, views, None))
-    surface = _median(filled_from_nearest(found))
-    found = _sweep(first, step, level, views, _brightness(surface, views, _GAIN_WINDOW_PX))
-    prior = filled_from_nearest(_better(refined, found, views).height)
+    found = _sweep(first, step, wanted, level, views, _brightness(filled, views, None))
+    surface = _median(filled_from_nearest(np.where(wanted, found, start)))
+    found = _sweep(first, step, wanted, level, views, _brightness(surface, views, _GAIN_WINDOW_PX))
+    prior = filled_from_nearest(_better(start, found, views))
     slopes = np.rint(prior / step).astype(np.int32)
-    found = _sweep(first, step, slopes, views, _brightness(prior, views, _GAIN_WINDOW_PX))
-    return _better(refined, found, views)
+    found = _sweep(first, step, wanted, slopes, views, _brightness(prior, views, _GAIN_WINDOW_PX))
+    return _better(start, found, views)
+
+
+def _near_jumps(start: FloatArray, baseline: float) -> BoolArray:
+    """Return where the pairs' disparity jumps or, in more than specks, is unknown, and around."""
+    unknown = np.isnan(start).astype(np.uint8)
+    holes = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_SPECK_PX, _SPECK_PX), np.uint8))
+    disparity = _median(filled_from_nearest(start) * baseline)
+    jump = np.zeros(start.shape, bool)
+    for side, span in _JUMPS:
+        square = np.ones((side, side), np.uint8)
+        jump |= cv2.dilate(disparity, square) - cv2.erode(disparity, square) > span
+    side = 2 * _AROUND_PX + 1
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    near: BoolArray = cv2.dilate(jump.astype(np.uint8) | holes, around) > 0
+    return near
 
 
 def _first_label(height: FloatArray, step: float) -> NDArray[np.int32]:
     """Return the lowest label of every pixel's range, laid across what its neighbourhood spans where that fits."""
-    low = minimum_filter(height, 2 * _REACH_PX + 1) / step
-    high = maximum_filter(height, 2 * _REACH_PX + 1) / step
-    middle = np.where(high - low < _LABELS - 6, (low + high) / 2, height / step)
+    square = np.ones((2 * _REACH_PX + 1, 2 * _REACH_PX + 1), np.uint8)
+    labels = (height / step).astype(np.float32)
+    low, high = cv2.erode(labels, square), cv2.dilate(labels, square)
+    middle = np.where(high - low < _LABELS - 6, (low + high) / 2, labels)
     first: NDArray[np.int32] = (np.rint(middle) - _LABELS // 2).astype(np.int32)
     return first
 
 
 def _sweep(
-    first: NDArray[np.int32], step: float, slopes: NDArray[np.int32], views: Views, brightness: _Brightness
+    first: NDArray[np.int32],
+    step: float,
+    wanted: BoolArray,
+    slopes: NDArray[np.int32],
+    views: Views,
+    brightness: _Brightness,
 ) -> FloatArray:
-    cost = np.empty((*first.shape, _LABELS), np.uint8)
-    for k in range(_LABELS):
-        differences = _differences(np.asarray((first + k) * step, np.float64), views, brightness, _WINDOW_PX)
-        agreed = np.mean(list(differences.values()), axis=0)
-        for side in (-1, 1):
-            one_side = [
-                differences[i] for i in differences if side * (views.parallax[i] - views.parallax[views.reference]) > 0
-            ]
-            if one_side and len(one_side) < len(differences):
-                agreed = np.minimum(agreed, np.mean(one_side, axis=0) + np.float32(_ONE_SIDED))
-        cost[:, :, k] = np.rint(agreed * _COST_UNIT)
+    """Return the heights (H, W) of least cost, NaN where none is wanted or the least lies at the end of the range."""
+    unit = np.float32(1 / brightness.noise)
+    order = [*views.others, views.reference]
+    looks = [views.samplers[i] for i in order]
+    images = np.stack(
+        [
+            np.where(look.mask > 0, look.image * np.float32(brightness.gain[i]) * unit, np.float32(np.nan))
+            for i, look in zip(order, looks, strict=True)
+        ]
+    )
+    side = np.where(views.parallax[views.others] < views.parallax[views.reference], -1, 1)
+    around = cv2.dilate(wanted.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    cost = np.zeros((*first.shape, _LABELS), np.uint8)
+    fill_costs(
+        cost,
+        first,
+        step,
+        wanted,
+        around,
+        images,
+        np.stack([look.view_from_grid for look in looks]),
+        np.stack([look.px_per_height for look in looks]),
+        brightness.offset[views.others] * unit,
+        side,
+        window_taps(_WINDOW_PX),
+    )
     here = np.asarray((first + _LABELS // 2) * step, np.float64)
-    guide = views.samplers[views.reference].look(here)[0] / np.float32(brightness.noise)
-    valid = np.ones(first.shape, bool)
-    label = least_cost(cost, first, valid, slopes, guide, _PENALTY_SMALL, _PENALTY_LARGE)
+    guide = views.samplers[views.reference].look(here)[0] * unit
+    label = least_cost(cost, first, wanted, slopes, guide, _PENALTY_SMALL, _PENALTY_LARGE)
     return without_speckles(label * _STEP_PX, _SPECKLE_AREA_PX) / _STEP_PX * step
 
 
@@ -149,12 +175,12 @@ def _brightness(height: FloatArray, views: Views, window_px: float | None) -> _B
     for i in views.others:
         value, inside = looks[i]
         both = inside * own_inside
-        seen = both > 0
-        if not seen.any():
+        seen = _sample(both > 0)
+        if not seen[0].size:
             continue
         gain[i] = _scatter(own[seen]) / _scatter(value[seen])
         difference = value * np.float32(gain[i]) - own
-        difference = np.clip(difference, *np.percentile(difference[seen], [2, 98]))
+        difference = np.clip(difference, *np.percentile(difference[seen], [2, 98]).astype(np.float32))
         if window_px is None:
             offset[i] = difference[seen].mean()
         else:
@@ -163,6 +189,12 @@ def _brightness(height: FloatArray, views: Views, window_px: float | None) -> _B
         residuals.append(np.abs(difference - offset[i])[seen])
     noise = 1.4826 * float(np.median(np.concatenate(residuals))) if residuals else 1.0
     return _Brightness(gain, offset, max(noise, 1e-6))
+
+
+def _sample(where: BoolArray) -> tuple[NDArray[np.int64], ...]:
+    """Return row and column of every ninth pixel of those asked for: enough for a median."""
+    rows, cols = np.nonzero(where[::3, ::3])
+    return 3 * rows, 3 * cols
 
 
 def _scatter(values: ImageArray) -> float:
@@ -178,14 +210,14 @@ def _differences(
     for i in views.others:
         value, inside = views.samplers[i].look(height)
         difference = np.abs(value * np.float32(brightness.gain[i]) - brightness.offset[i] - own)
-        cut = np.minimum(difference / np.float32(brightness.noise), np.float32(_LARGEST_DIFFERENCE))
+        cut = np.minimum(difference / np.float32(brightness.noise), np.float32(LARGEST_DIFFERENCE))
         found[i] = gaussian_window(
-            np.where(inside * own_inside > 0, cut, np.float32(_LARGEST_DIFFERENCE / 2)), window_px
+            np.where(inside * own_inside > 0, cut, np.float32(LARGEST_DIFFERENCE / 2)), window_px
         )
     return found
 
 
-def _better(refined: FloatArray, swept: FloatArray, views: Views) -> Sharpened:
+def _better(refined: FloatArray, swept: FloatArray, views: Views) -> FloatArray:
     """Take the swept height where the better half of the views agree on it more than on the refined one."""
     misfits, noises = [], []
     for height in (refined, swept):
@@ -204,9 +236,8 @@ def _better(refined: FloatArray, swept: FloatArray, views: Views) -> Sharpened:
     sharp = np.where(replaced, swept, refined)
     # Where nothing has texture the views differ by noise alone whatever the height: they must correlate, too.
     seen = compare_views(filled_from_nearest(sharp), np.isfinite(sharp), views.samplers, views.parallax, _AGREEMENT_PX)
-    n_views = (seen.weights > 0.5).sum(axis=0).astype(np.uint8)
-    replaced &= n_views >= 2
-    return Sharpened(np.where(replaced, swept, refined), replaced, np.where(replaced, n_views, 0).astype(np.uint8))
+    replaced &= (seen.weights > 0.5).sum(axis=0) >= 2
+    return np.where(replaced, swept, refined)
 
 
 def _median(height: FloatArray) -> FloatArray:

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from semscape.dense.evidence import without_islands
+from semscape.dense.parallel import as_parallel
 from semscape.dense.reasons import unknown_reasons
 from semscape.dense.rectify import grid_pixel_size_um
-from semscape.dense.refine import without_islands
 from semscape.dense.sampling import common_parallax
 from semscape.dense.specimen import with_specimen
 from semscape.dense.surface import DenseSurface, choose_pairs, dense_surface
@@ -62,6 +63,7 @@ def surface_in_tiles(
     DegenerateGeometryError
         When no two views differ enough in tilt.
     """
+    series = as_parallel(series, reconstruction)
     rows, columns = (_edges(size, options.tile_px) for size in series.shape)
     if len(rows) == len(columns) == 2:
         found = dense_surface(series, reconstruction, options, mapper=mapper)

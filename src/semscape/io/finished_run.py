@@ -19,14 +19,13 @@ from semscape.types import HeightMap, Motion
 class FinishedRun:
     """A height map with what its run says of it.
 
-    `height_scale_relative_sigma` is NaN, `window_sigma_px` 0, `ambiguity` and `verdict` are empty where nothing is
+    `height_scale_relative_sigma` is NaN, `ambiguity` and `verdict` are empty where nothing is
     known: a height map that lies alone.
     """
 
     name: str
     height_map: HeightMap
     height_scale_relative_sigma: float = math.nan
-    window_sigma_px: float = 0.0
     ambiguity: str = ""
     verdict: str = ""
 
@@ -53,7 +52,6 @@ def read_finished_run(path: Path | str) -> FinishedRun:
         name=str(path),
         height_map=read_height_map(path / "height_map.npz"),
         height_scale_relative_sigma=_number(reconstruction.get("height_scale_relative_sigma")),
-        window_sigma_px=_window_sigma_px(path / "options.toml"),
         ambiguity=str(reconstruction.get("ambiguity", "")),
         verdict=str(report.get("verdict", "")),
     )
@@ -106,15 +104,6 @@ def _read_json(path: Path) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise BadInputError(f"{path} does not hold a table; run semscape reconstruct again")
     return values
-
-
-def _window_sigma_px(path: Path) -> float:
-    if not path.is_file():
-        return 0.0
-    try:
-        return read_toml(path.read_text(encoding="utf-8")).dense.refine_sigma_px
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{path} cannot be read: {error}") from error
 
 
 def _number(value: Any) -> float:
