@@ -90,8 +90,8 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
     Parameters
     ----------
     start : (H, W) float array
-        In px, crisp at jumps, NaN where unknown. Specks of a few unknown pixels are tried from their neighbours; what
-        else is unknown, and where no two views agree, is unknown in the end.
+        In px, crisp at jumps, NaN where unknown. Specks of a few unknown pixels far from jumps are tried from their
+        neighbours; what else is unknown, and where no two views agree, is unknown in the end.
     views : Views
 
     References
@@ -102,9 +102,9 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
     known = np.isfinite(start)
     if not known.any():
         return RefinedHeights(start, start, np.zeros(start.shape, np.uint8))
-    known |= _specks(~known)
     base = views.baseline
     given = _without_spikes(filled_from_nearest(start), _JUMP_PX / base)
+    known |= _specks(~known) & ~_spans(given, 2 * _JUMP_PX / base)
     cut = smoothness_cut(np.where(known, given, np.nan), _JUMP_PX / base)
     table = LatticeTable()
     prior = Smoothness(np.full(given.shape, _START_TAU**2), np.ones(given.shape))
@@ -150,6 +150,13 @@ def _specks(unknown: BoolArray) -> BoolArray:
     square = np.ones((_SPIKE_PX, _SPIKE_PX), np.uint8)
     specks: BoolArray = unknown & (cv2.morphologyEx(unknown.astype(np.uint8), cv2.MORPH_OPEN, square) == 0)
     return specks
+
+
+def _spans(height: FloatArray, limit: float) -> BoolArray:
+    """Return where heights (H, W) span more than `limit` over 5 x 5 px: beside a jump the unknown is hidden ground."""
+    square = np.ones((_SPIKE_PX, _SPIKE_PX), np.uint8)
+    spans: BoolArray = cv2.dilate(height, square) - cv2.erode(height, square) > limit
+    return spans
 
 
 def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray) -> _Noise:
