@@ -4,8 +4,6 @@ import { drawDot, drawPath, label, type Ink, type Pen2D } from "./annotate";
 import { heightAt } from "./grid";
 import {
   angleAt,
-  areaAndVolume,
-  arealFigures,
   distanceBetween,
   extractProfile,
   profileFigures,
@@ -13,8 +11,8 @@ import {
   type Place,
   type Profile,
   type Rectangle,
-  type VolumeReference,
 } from "./measure";
+import { areaAndVolume, arealFigures, type VolumeReference } from "./measure_area";
 import { number, roundLength, unitSign } from "./numbers";
 import type { Surface } from "./types";
 

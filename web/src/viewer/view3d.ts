@@ -6,11 +6,8 @@
 
 import {
   ColorManagement,
-  Frustum,
-  Box3,
   GLSL3,
   LinearSRGBColorSpace,
-  Matrix4,
   Mesh,
   PlaneGeometry,
   RawShaderMaterial,
@@ -28,6 +25,7 @@ import { COLOUR_BAR_PX, drawColourBar, drawScaleBar, penOf, type Ink, type Pen2D
 import { drawAxes } from "./axes";
 import { cameraOf, directionOf, fitted, type Eye } from "./camera";
 import type { Colouring } from "./colours";
+import { fineStride, movingStride, tilesSeen, wireStride } from "./detail";
 import { gridFromWorld } from "./grid";
 import { short, unitSign } from "./numbers";
 import { pickHeight } from "./pick";
@@ -36,10 +34,6 @@ import type { Facts, Settings } from "./settings";
 import { SCREEN_FRAGMENT, SCREEN_VERTEX } from "./shaders";
 import type { Surface } from "./types";
 
-const MOVING_TRIANGLES = 180_000;
-const MOVING_POINTS = 180_000;
-/** Finer than this share of a pixel of the screen no cell is drawn. */
-const FINEST_CELL_PX = 0.35;
 const STILL_AFTER_MS = 160;
 const SLICE_MS = 40;
 const EYE_TURN_DEG = 1.6;
@@ -328,7 +322,7 @@ export class View3D {
     uniforms.toEye.value.copy(directionOf(settings.eye));
     uniforms.shading.value = settings.shaded ? (colouring.by === "height" ? 1 : 0.6) : 0;
     uniforms.pointSize.value = dots ? Math.max(1.5, Math.min(7, 0.75 * stride * this.cellPx())) : 0;
-    uniforms.wire.value = settings.style === "wireframe" ? this.wireStride() : 0;
+    uniforms.wire.value = settings.style === "wireframe" ? wireStride(this.cellPx()) : 0;
     this.setTable(colouring.table);
     const patch = dots ? this.parts.points : this.parts.patch;
     setTiles(patch, tiles);
@@ -393,44 +387,16 @@ export class View3D {
   }
 
   private movingStride(): number {
-    const { rows, cols } = this.surface;
-    const dots = this.settings().style === "points";
-    const most = dots ? MOVING_POINTS : MOVING_TRIANGLES / 2 / (this.settings().anaglyph ? 2 : 1);
-    return Math.max(this.fineStride(), Math.ceil(Math.sqrt((rows * cols) / most)));
+    return movingStride(this.surface, this.settings(), this.cellPx());
   }
 
   private fineStride(): number {
-    const cell = this.cellPx();
-    let stride = 1;
-    if (this.settings().style === "points") while (cell * stride < 2) stride++;
-    else while (2 * cell * stride < FINEST_CELL_PX) stride *= 2;
-    return stride;
-  }
-
-  private wireStride(): number {
-    let stride = 1;
-    while (this.cellPx() * stride < 9) stride *= 2;
-    return stride;
+    return fineStride(this.settings(), this.cellPx());
   }
 
   /** Return the tiles, x y x y, of a stride that a camera may see. */
   private tiles(stride: number, camera: Camera): Float32Array {
-    const { rows, cols } = this.surface;
-    const [low, high] = this.facts.range;
-    const seen = new Frustum().setFromProjectionMatrix(
-      new Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse),
-    );
-    const found: number[] = [];
-    const side = PATCH * stride;
-    const box = new Box3();
-    for (let y = 0; y < rows - 1; y += side) {
-      for (let x = 0; x < cols - 1; x += side) {
-        this.toScene(x, Math.min(y + side, rows - 1), low, box.min);
-        this.toScene(Math.min(x + side, cols - 1), y, high, box.max);
-        if (seen.intersectsBox(box)) found.push(x, y);
-      }
-    }
-    return Float32Array.from(found);
+    return tilesSeen(this.surface, this.facts.range, PATCH * stride, camera, (x, y, z, out) => this.toScene(x, y, z, out));
   }
 
   private drawOver(pen: Pen2D): void {
