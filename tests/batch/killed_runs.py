@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from run_products import QUICK
-
 from semscape.batch.folder_run import reconstruct_folder
 from semscape.io.run_folder import RUN_FILES
 

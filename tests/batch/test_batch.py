@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from run_products import QUICK, products
 from typer.testing import CliRunner
 
+from run_products import QUICK, products
 from semscape.batch import specimen as specimen_module
 from semscape.cli import app
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from run_products import QUICK, products
 from worker_tasks import die, die_once, fill, nothing, square, thread_limits
 
+from run_products import QUICK, products
 from semscape.batch.command import run_command
 from semscape.batch.manifest import find_specimens
 from semscape.batch.record import Ending

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from run_products import PRODUCTS, QUICK, products
 
+from run_products import PRODUCTS, QUICK, products
 from semscape.batch.folder_run import OutOfMemoryError, reconstruct_folder
 from semscape.cluster.processes import worker_environment
 from semscape.errors import BadInputError
