@@ -38,7 +38,6 @@ def master_images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def undisturbed(master_images: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     from run_products import QUICK, products
-
     from semscape.batch.folder_run import reconstruct_folder
 
     run = tmp_path_factory.mktemp("undisturbed") / "run"

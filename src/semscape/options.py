@@ -269,17 +269,6 @@ class ConvertOptions:
 
 
 @dataclass(frozen=True)
-class AppOptions:
-    """`semscape app`, no stage of a run: the folder of the runs, what a browser may send, how many are made at once."""
-
-    workspace: str = "~/semscape-runs"
-    max_file_mb: int = 1_000
-    max_files: int = 400
-    max_run_mb: int = 20_000
-    runs_at_once: int = 1
-
-
-@dataclass(frozen=True)
 class Options:
     """All options of a run.
 

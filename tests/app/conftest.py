@@ -10,12 +10,12 @@ import pytest
 from fastapi.testclient import TestClient
 from held_jobs import InlineDesk, Jobs
 
+from semscape.app.app_options import AppOptions
 from semscape.app.routes import Parts
 from semscape.app.run_queue import RunQueue
 from semscape.app.security import Access
 from semscape.app.server import build_app
 from semscape.app.workspace import Workspace
-from semscape.options import AppOptions
 from semscape.report.run import write_run
 from synthetic_result import make_result
 

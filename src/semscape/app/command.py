@@ -9,11 +9,11 @@ from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
 
+from semscape.app.app_options import AppOptions
 from semscape.app.workspace import APP_NAME, Workspace
 from semscape.errors import BadInputError
 from semscape.io.lock import FolderLock
 from semscape.io.run_folder import make_folder
-from semscape.options import AppOptions
 
 _BACKLOG = 128
 

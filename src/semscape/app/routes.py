@@ -16,6 +16,7 @@ from fastapi.responses import FileResponse, Response, StreamingResponse
 from pydantic import BaseModel, Field
 from starlette.background import BackgroundTask
 
+from semscape.app.app_options import AppOptions
 from semscape.app.desk import Desk
 from semscape.app.exports import FORMAT_NAMES
 from semscape.app.names import displayed_name
@@ -29,7 +30,6 @@ from semscape.app.summary import Summary, summarize
 from semscape.app.uploads import remove_file, take_file
 from semscape.app.workspace import Run, UnknownRunError, Workspace, read_plain_file
 from semscape.io.work_folder import LOG_NAME
-from semscape.options import AppOptions
 
 _MOST_REPORT_BYTES = 200_000_000
 _SMALL_PX = 240

@@ -11,13 +11,13 @@ from pathlib import Path
 
 from anyio import to_thread
 
+from semscape.app.app_options import AppOptions
 from semscape.app.names import displayed_name, stored_name
 from semscape.app.run_queue import RunQueue
 from semscape.app.told import History, for_stored_names, parse_told, read_told, write_told
 from semscape.app.workspace import Run, UnknownRunError, Workspace
 from semscape.errors import BadInputError
 from semscape.io.series_toml import SIDECAR_NAME
-from semscape.options import AppOptions
 
 _PARTIAL_PREFIX = ".semscape-upload-"
 _MOST_TOML_BYTES = 1_000_000
