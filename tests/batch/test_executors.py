@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from worker_tasks import die, die_once, fill, nothing, square, thread_limits
+from worker_tasks import crash, die, die_once, fill, nothing, square, thread_limits
 
 from run_products import QUICK, products
 from semscape.batch.command import run_command
@@ -75,8 +75,9 @@ def test_a_task_that_kills_its_worker_twice_is_given_up_with_its_stage() -> None
         first, second = sorted(executor.run(die, [0, 1]), key=lambda outcome: outcome.index)
         assert isinstance(first.error, WorkerLostError)
         assert isinstance(second.error, WorkerLostError)
-        assert "by signal SIGKILL in stage surface, 2 times; this is most often the system's lack of memory" in str(
-            first.error
+        assert (
+            "by signal SIGKILL in stage surface, 2 times; this is most often a lack of memory: fewer --workers"
+            in str(first.error)
         )
         assert list(executor.map(square, [3])) == [9]
 
@@ -86,6 +87,13 @@ def test_memory_of_a_worker_is_limited() -> None:
         (outcome,) = executor.run(fill, [3_000_000_000])
         assert isinstance(outcome.error, MemoryError)
         assert list(executor.map(fill, [1000])) == [1000]
+
+
+def test_a_crash_within_a_limit_of_memory_is_taken_for_a_lack_of_it() -> None:
+    with LocalProcesses(1, threads=1, memory_mb=4000) as executor:
+        (outcome,) = executor.run(crash, [0])
+    assert "by signal SIGABRT before its first stage, 2 times" in str(outcome.error)
+    assert "lack of memory: more than --memory-mb 4000" in str(outcome.error)
 
 
 def test_workers_end_with_their_master() -> None:

@@ -40,6 +40,10 @@ def die(_: int) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def crash(_: int) -> None:
+    os.kill(os.getpid(), signal.SIGABRT)
+
+
 def sleep(seconds: float) -> int:
     time.sleep(seconds)
     return os.getpid()

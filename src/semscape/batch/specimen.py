@@ -57,6 +57,7 @@ def run_specimen(task: SpecimenTask, mapper: Mapper | None = None) -> tuple[How,
         start = time.perf_counter()
         inputs: dict[str, tuple[int, int, str]] = {}
         key = ""
+        tell("load")
         try:
             known = before.inputs if before and not task.verify else {}
             inputs = input_digests(folder, file_states(folder), known)

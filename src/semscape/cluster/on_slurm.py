@@ -6,7 +6,6 @@ import logging
 import re
 import shutil
 import subprocess
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from typing import Any
 
 from semscape.cluster.on_dask import OnDask, import_distributed
 from semscape.errors import BadInputError
+from semscape.io.run_folder import make_folder
 
 _KEYS = ("partition", "cores", "memory", "jobs", "walltime", "account")
 _FORM = "write partition=NAME,cores=8,memory=32GB,jobs=4"
@@ -61,7 +61,7 @@ def slurm(request: str, threads: int | None, memory_mb: int, logs: Path) -> Iter
         job_extra_directives=[*dask.config.get("jobqueue.slurm.job-extra-directives", []), f'--output="{pattern}"'],
     ) as cluster:
         _require_accepted(cluster.job_script())
-        _make_folder(logs)
+        make_folder(logs)
         with distributed.Client(cluster, set_as_default=False) as client:
             cluster.scale(jobs=n_jobs)
             _wait_for_a_worker(client, cluster, logs)
@@ -99,19 +99,9 @@ def slurm_request(text: str) -> dict[str, str]:
     return wanted
 
 
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInputError(f"{path} cannot be written: {error.strerror or error}") from error
-
-
 def _require_accepted(script: str) -> None:
     """Have SLURM look at a job without taking it: Dask would only log a refusal, and wait for ever."""
-    with tempfile.NamedTemporaryFile("w", suffix=".sh") as file:
-        file.write(script)
-        file.flush()
-        done = subprocess.run(["sbatch", "--test-only", file.name], capture_output=True, text=True, check=False)
+    done = subprocess.run(["sbatch", "--test-only"], input=script, capture_output=True, text=True, check=False)
     if done.returncode:
         told = done.stderr.strip().replace("sbatch: error: ", "").replace("\n", "; ")
         raise BadInputError(f"--slurm: SLURM refuses such a job: {told}")

@@ -25,6 +25,7 @@ _THREAD_VARIABLES = (
 )
 _PROGRAM = "from semscape.cluster.worker import main; main()"
 _MOST_ATTEMPTS = 2
+_KILLED = 9  # SIGKILL, a name that Windows does not know
 
 
 class Worker:
@@ -61,14 +62,17 @@ class Worker:
             status = self.stop()
             if self._closed:
                 break
-        stage = f" in stage {self._stage}" if self._stage else ""
+        stage = f" in stage {self._stage}" if self._stage else " before its first stage"
         how = f"by signal {signal.Signals(-status).name}" if status < 0 else f"with exit code {status}"
+        # Compiled code seldom says that it gets no memory: within a limit it crashes.
+        is_memory = status == -_KILLED or (self._memory_mb and status)
+        limit = f"more than --memory-mb {self._memory_mb}, " if self._memory_mb else ""
         advice = (
-            "; this is most often the system's lack of memory: fewer --workers, smaller images, "
+            f"; this is most often a lack of memory: {limit}fewer --workers, smaller images, "
             "or --set dense.tile_px=512 and --set features.max_keypoints=10000"
         )
         raise WorkerLostError(
-            f"the worker process was ended {how}{stage}, {_MOST_ATTEMPTS} times{advice if status == -9 else ''}"
+            f"the worker process was ended {how}{stage}, {_MOST_ATTEMPTS} times{advice if is_memory else ''}"
         )
 
     def stop(self) -> int:
