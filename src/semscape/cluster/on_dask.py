@@ -6,7 +6,6 @@ and with a memory of its own, so that a specimen that is too large ends that pro
 
 from __future__ import annotations
 
-import logging
 import threading
 import uuid
 from collections.abc import Callable, Iterable, Iterator
@@ -127,8 +126,10 @@ def import_distributed() -> Any:
         If it is not installed.
     """
     try:
+        import dask
+
+        dask.config.set({"logging.distributed": "warning"})  # else --log-json tells of every connection
         import distributed
     except ImportError as error:
         raise BadInputError("Dask is not installed; install semscape with its extra: semscape[cluster]") from error
-    logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection, also in --log-json
     return distributed
