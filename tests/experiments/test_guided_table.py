@@ -15,4 +15,4 @@ def test_a_small_series_gains_matches_that_are_right() -> None:
     assert 0.97 < cells["right within 2 px"] <= 1
     assert cells["tracks guided"] > cells["tracks"]
     assert 0 < cells["tilt error that images show (deg rms)"] < 0.1
-    assert table.note.endswith("No measured series at hand.")
+    assert table.note.endswith("A quick run: one small series.")
