@@ -12,6 +12,8 @@ from semscape.simulate import SimulationOptions, simulate
 
 # A script of its own, which runs in a child process and is no module to collect.
 collect_ignore = ["batch/killed_runs.py"]
+# There is one in more than one folder, which the collection of doctests would take for one module.
+collect_ignore_glob = ["*conftest.py"]
 
 TINY = SimulationOptions(tilts_deg=(-6.0, 0.0, 6.0), width_px=128, height_px=128)
 SHARED_DATA_VARIABLE = "SEMSCAPE_SHARED_DATA"
