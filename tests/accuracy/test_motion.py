@@ -38,8 +38,11 @@ def test_tilt_steps_from_the_images_alone(case: str, least_deg: float, most_deg:
 
 @pytest.mark.parametrize("case", ["5 views, stage", "5 views, stage, anisotropy"])
 def test_never_worse_than_the_stage(case: str) -> None:
-    """Five readings of 0.1 deg over 12 deg leave 1.05 % for the height scale, one standard deviation."""
-    found = figures(case)
+    """Five readings of 0.1 deg over 12 deg leave 1.05 % for the height scale, one standard deviation.
+
+    60 series: over 30 the ratio of two such deviations is uncertain by a hundredth (1.020, over 60 and 120 1.011).
+    """
+    found = figures(case, 60)
     assert 0.03 < found["tilt_rms_error_deg"] < found["stage_tilt_rms_error_deg"]
     assert 0.2 < found["height_scale_median_error_percent"] < 1.0
     assert found["height_scale_rms_error_percent"] < 1.02 * found["stage_scale_rms_error_percent"]
