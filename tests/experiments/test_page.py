@@ -72,7 +72,7 @@ def test_markdown_embeds_the_figures_by_a_path_that_is_there(page: Path) -> None
 
 def test_html_asks_for_nothing_and_is_escaped(page: Path) -> None:
     text = (page / "experiments.html").read_text()
-    assert "data:image/png;base64," in text
+    assert "data:image/webp;base64," in text
     assert "http://" not in text
     assert "https://" not in text
     assert "&lt;left&gt; out" in text
