@@ -156,3 +156,10 @@ def test_segments_of_a_bse_detector(shared_data: Path, name: str) -> None:
         micrograph = read_micrograph(path)
         assert micrograph.metadata.data_bar_rows == 79
         assert micrograph.metadata.pixel_size_um > 0
+
+
+def test_a_field_of_one_value_that_unpacks_to_81_megapixels_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.tif"
+    tifffile.imwrite(path, np.zeros((9000, 9000), np.uint8), compression="zlib", metadata=None)
+    with pytest.raises(BadInputError, match=r"bomb\.tif: its header claims 9000 x 9000 pixels, more than 300 for each"):
+        read_micrograph(path)

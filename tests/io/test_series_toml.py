@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from pathlib import Path
 
@@ -88,3 +89,20 @@ def test_what_inspect_writes_changes_nothing_until_it_is_taken_up(tmp_path: Path
     assert all(view.metadata.source["working_distance_um"] == "sidecar" for view in after.views)
     with pytest.raises(BadInputError, match=r"series\.toml: exists and is not overwritten"):
         write_series_toml(tmp_path, describe_series(before), ())
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders on this system")
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    for name in ("a.tif", "b.tif"):
+        write_tiff(tmp_path / name, noise(0))
+    os.mkfifo(tmp_path / "series.toml")
+    with pytest.raises(BadInputError, match=r"series\.toml: is not a text file"):
+        load_series(tmp_path)
+
+
+def test_a_file_without_end_is_not_read(tmp_path: Path) -> None:
+    for name in ("a.tif", "b.tif"):
+        write_tiff(tmp_path / name, noise(0))
+    (tmp_path / "series.toml").write_text("#" * 1_000_001, encoding="ascii")
+    with pytest.raises(BadInputError, match="below 1,000,000 bytes"):
+        load_series(tmp_path)

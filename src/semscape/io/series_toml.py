@@ -23,6 +23,7 @@ from semscape.errors import BadInputError
 SIDECAR_NAME = "series.toml"
 
 _RAD_PER_DEG = math.pi / 180
+_MOST_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,10 @@ def read_series_toml(path: Path, names: Sequence[str]) -> SeriesToml:
     """
     if not path.exists():
         return SeriesToml()
+    if not path.is_file() or path.stat().st_size > _MOST_BYTES:  # a pipe or device may never end
+        raise BadInputError(
+            f"{path}: is not a text file below {_MOST_BYTES:,} bytes; it may hold tilts_deg = [-5, 0, 5]"
+        )
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, not TOML, 5000 digits

@@ -54,6 +54,7 @@ def measure_run(run: FinishedRun, request: MeasureRequest, since: FinishedRun | 
         run.height_map,
         request,
         height_scale_relative_sigma=run.height_scale_relative_sigma,
+        window_sigma_px=run.window_sigma_px,
         rng=np.random.default_rng(request.options.seed),
     )
     figures, warnings = measurement.figures, measurement.warnings
