@@ -25,7 +25,7 @@ IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp")
 MAX_PIXELS = 1_000_000_000
 # No micrograph is packed as tightly as this many times; nothing but a bomb, or a field of one value, is.
 _MOST_TIMES_PACKED = 300
-_LARGE_BYTES = 20_000_000
+_LARGE_PIXELS = 20_000_000
 
 _SOFTWARE_TAG = 305
 _ORIENTATION_TAG = 274
@@ -100,13 +100,13 @@ def _decoding(path: Path, file_format: str) -> Iterator[None]:
 
 
 def _require_credible_size(path: Path, width: int, height: int, n_channels: int = 1) -> None:
-    n_bytes = width * height * n_channels
-    if n_bytes > max(_LARGE_BYTES, _MOST_TIMES_PACKED * path.stat().st_size):
+    n_values = width * height * n_channels
+    if n_values > max(_LARGE_PIXELS, _MOST_TIMES_PACKED * path.stat().st_size):
         raise BadInputError(
             f"{path}: its header claims {width} x {height} pixels, more than {_MOST_TIMES_PACKED} for each byte of the "
             "file: no micrograph, so it is not unpacked; save it again without compression if it is one"
         )
-    if width < 1 or height < 1 or width * height * n_channels > MAX_PIXELS:
+    if width < 1 or height < 1 or n_values > MAX_PIXELS:
         raise BadInputError(
             f"{path}: its header claims {width} x {height} pixels; images between 1 pixel and "
             f"{MAX_PIXELS:,} pixels are read; the file is damaged, or must be cropped or binned first"
