@@ -1,5 +1,6 @@
 /** The height map seen from straight above, in the colours of the 3D view. It needs no graphics card. */
 
+import { opaquePicture } from "./picture";
 import { COLOUR_BAR_PX, drawColourBar, drawScaleBar, penOf, type Ink, type Pen2D } from "./annotate";
 import type { Colouring } from "./colours";
 import { slopeAt, type Heights } from "./grid";
@@ -115,18 +116,7 @@ export class Map2D {
   /** Return a PNG of the map with its bars on an opaque ground. */
   async picture(ground: string): Promise<Blob> {
     this.draw();
-    const joined = document.createElement("canvas");
-    joined.width = this.canvas.width;
-    joined.height = this.canvas.height;
-    const pen = joined.getContext("2d")!;
-    pen.fillStyle = ground;
-    pen.fillRect(0, 0, joined.width, joined.height);
-    pen.drawImage(this.canvas, 0, 0);
-    pen.setTransform(joined.width / this.canvas.clientWidth, 0, 0, joined.height / this.canvas.clientHeight, 0, 0);
-    this.drawOver(pen);
-    return new Promise((resolve, reject) =>
-      joined.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("the browser made no picture"))), "image/png"),
-    );
+    return opaquePicture(this.canvas, ground, (pen) => this.drawOver(pen));
   }
 
   dispose(): void {

@@ -4,6 +4,7 @@
  * responsive.
  */
 
+import { opaquePicture } from "./picture";
 import {
   ColorManagement,
   GLSL3,
@@ -151,18 +152,7 @@ export class View3D {
   async picture(ground: string): Promise<Blob> {
     this.job++;
     this.renderPasses(this.fineStride());
-    const joined = document.createElement("canvas");
-    joined.width = this.canvas.width;
-    joined.height = this.canvas.height;
-    const pen = joined.getContext("2d")!;
-    pen.fillStyle = ground;
-    pen.fillRect(0, 0, joined.width, joined.height);
-    pen.drawImage(this.canvas, 0, 0);
-    pen.setTransform(joined.width / this.canvas.clientWidth, 0, 0, joined.height / this.canvas.clientHeight, 0, 0);
-    this.drawOver(pen);
-    return new Promise((resolve, reject) =>
-      joined.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("the browser made no picture"))), "image/png"),
-    );
+    return opaquePicture(this.canvas, ground, (pen) => this.drawOver(pen));
   }
 
   dispose(): void {
