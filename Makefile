@@ -1,6 +1,8 @@
 # Everything runs in .venv, which `make setup` builds. Nothing else is needed but python3 >= 3.11 with venv.
 
 PYTHON ?= python3
+# Processes that run the tests; each takes up to 3 GB. `make test TEST_PROCESSES=0` runs them one after the other.
+TEST_PROCESSES ?= auto
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/setup-done
@@ -57,7 +59,7 @@ demo: $(STAMP) $(BUNDLE)
 	@$(BIN)/semscape demo --output demo
 
 test: $(STAMP) $(BUNDLE)
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest --numprocesses $(TEST_PROCESSES) --maxprocesses 4 --dist worksteal
 
 lint: $(STAMP)
 	@$(BIN)/ruff check $(CODE)
