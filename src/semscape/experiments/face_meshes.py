@@ -16,7 +16,7 @@ from semscape.types import SurfaceMesh
 
 BUILT_IN = "face"
 # Shares of the field of view: the height of the head in the image, the depth that is kept, and the side of the ground.
-_HEAD, _DEPTH, _GROUND = 0.85, 0.3, 4.0
+_HEAD, _DEPTH, _GROUND = 0.85, 0.3, 2.2
 _TEXTURE_SEED = 20160515
 
 
