@@ -12,15 +12,20 @@ from semscape.errors import BadInputError, NoAnswerError
 from semscape.metrology.grid import Region
 from semscape.metrology.measure import measure, measure_change
 from semscape.metrology.request import MeasureRequest, parse_edges, parse_line, parse_two_regions
+from semscape.metrology.resolution import PERIOD_PER_SIGMA
 from semscape.options import MeasureOptions
 from semscape.types import HeightMap
 
 
-def height_map(z: np.ndarray, pixel: float = 0.1, unit: str = "um", sigma: float = 0.01) -> HeightMap:
-    grid = np.diag([pixel, -pixel, 1, 1])
+def height_map(
+    z: np.ndarray, pixel: float = 0.1, unit: str = "um", sigma: float = 0.01, window_px: float = np.nan
+) -> HeightMap:
+    """A map that states the lateral period of a window of that sigma, NaN: none."""
+    grid, period = np.diag([pixel, -pixel, 1, 1]), np.full(z.shape, PERIOD_PER_SIGMA * window_px * pixel, np.float32)
     return HeightMap(
-        z, np.full(z.shape, sigma), np.full(z.shape, 3, np.uint8), np.zeros(z.shape, np.float32), pixel, grid, unit
-    )
+        z, np.full(z.shape, sigma), np.full(z.shape, 3, np.uint8), np.zeros(z.shape, np.float32), pixel, grid, unit,
+        lateral_period_um=period,
+    )  # fmt: skip
 
 
 def terrain(n: int = 160) -> np.ndarray:
@@ -41,12 +46,11 @@ def run(z: np.ndarray, *, draws: int = 6, **kwargs):
     request_keys = {spec.name for spec in dataclasses.fields(MeasureRequest)}
     request = {key: value for key, value in kwargs.items() if key in request_keys}
     options = {key: value for key, value in kwargs.items() if key not in request_keys}
-    given = height_map(z)
+    given = height_map(z, window_px=2.0)
     return measure(
         given,
         MeasureRequest(MeasureOptions(draws=draws, **options), **request),
         height_scale_relative_sigma=0.01,
-        window_sigma_px=2.0,
         rng=np.random.default_rng(0),
     )
 
@@ -112,8 +116,8 @@ def test_the_sigma_of_a_large_map_is_that_of_theory_thinned_or_not(window: float
         z = ndimage.gaussian_filter(z, window)
     z /= z.std()
     measured = measure(
-        height_map(z, sigma=0.3), MeasureRequest(MeasureOptions(draws=60)), height_scale_relative_sigma=0.0,
-        window_sigma_px=window, rng=np.random.default_rng(1),
+        height_map(z, sigma=0.3, window_px=window or np.nan), MeasureRequest(MeasureOptions(draws=60)),
+        height_scale_relative_sigma=0.0, rng=np.random.default_rng(1),
     )  # fmt: skip
     figure = next(figure for figure in measured.figures if figure.name == "Sq")
     # Both relief and noise are correlated as exp(-d² / 4 s²): the sum of the product over all lags is 2 pi s² px.
@@ -156,6 +160,16 @@ def test_warnings_say_what_limits() -> None:
     pixels = measure(height_map(terrain(), unit="px"), MeasureRequest(), rng=np.random.default_rng(0))
     assert "no pixel size" in " ".join(pixels.warnings)
     assert {figure.unit for figure in pixels.figures} <= {"px", "px²", "px³", "px³/px²", "%", ""}
+
+
+def test_the_stated_resolution_is_that_of_the_measured_region() -> None:
+    z = terrain()
+    period = np.where(np.indices(z.shape)[1] < 80, 1.2, 3.0).astype(np.float32)
+    given = dataclasses.replace(height_map(z), lateral_period_um=period)
+    request = MeasureRequest(MeasureOptions(draws=2), region=Region(0, 0, 79, 159))
+    left = measure(given, request, rng=np.random.default_rng(0))
+    assert (left.resolution.source, left.resolution.period) == ("matching", pytest.approx(1.2))
+    assert "--s-filter-um 1.3" in " ".join(left.warnings)
 
 
 def test_the_same_seed_gives_the_same_figures() -> None:

@@ -60,7 +60,6 @@ def measure(
     request: MeasureRequest,
     *,
     height_scale_relative_sigma: float = math.nan,
-    window_sigma_px: float = 0.0,
     rng: np.random.Generator,
 ) -> Measurement:
     """Measure a height map.
@@ -72,8 +71,6 @@ def measure(
         What to measure, and the options.
     height_scale_relative_sigma : float
         Of the reconstruction; NaN (unknown) leaves every sigma unknown.
-    window_sigma_px : float
-        Window of the dense matching, where it is known.
     rng : numpy.random.Generator
         For the Monte Carlo.
 
@@ -83,8 +80,10 @@ def measure(
         If too few heights are known where something is to be measured.
     """
     options, pixel = request.options, height_map.pixel_size_um
-    resolution = lateral_resolution(height_map.height_um, pixel, window_sigma_px)
-    matched, uncertainty, origin = _cropped(height_map, request.region)
+    window = _window(height_map, request.region)
+    matched, uncertainty = height_map.height_um[window], height_map.uncertainty_um[window]
+    origin = int(window[1].start or 0), int(window[0].start or 0)
+    resolution = lateral_resolution(height_map.height_um, pixel, height_map.lateral_period_um[window])
     request = _shifted(request, origin)
     n_outliers = 0
     if not math.isnan(options.outlier_sigmas):
@@ -262,19 +261,19 @@ def _with_uncertainty(
     )
 
 
-def _cropped(height_map: HeightMap, region: Region | None) -> tuple[FloatArray, FloatArray, tuple[int, int]]:
-    height, uncertainty = height_map.height_um, height_map.uncertainty_um
+def _window(height_map: HeightMap, region: Region | None) -> tuple[slice, slice]:
+    """Return the rows and columns of the map that are measured."""
     if region is None:
-        return height, uncertainty, (0, 0)
-    inside = region.mask((height.shape[0], height.shape[1]))
+        return slice(None), slice(None)
+    height, width = height_map.height_um.shape
+    inside = region.mask((height, width))
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if min(len(rows), len(cols)) < 2:
         raise NoAnswerError(
-            f"the region covers {len(cols)} x {len(rows)} px of the map, which is {height.shape[1]} x "
-            f"{height.shape[0]} px; choose a larger one"
+            f"the region covers {len(cols)} x {len(rows)} px of the map, which is {width} x {height} px; choose a "
+            "larger one"
         )
-    window = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-    return height[window], uncertainty[window], (int(cols[0]), int(rows[0]))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
 def _shifted(request: MeasureRequest, origin: tuple[int, int]) -> MeasureRequest:
