@@ -107,6 +107,19 @@ def test_a_step_along_a_profile_and_roughness_with_an_l_filter() -> None:
     assert "profile/Ra" not in values(run(terrain(), profile=line))
 
 
+def test_a_profile_too_short_for_its_filter_has_no_ra_and_says_so() -> None:
+    line = (0.0, 80.0, 55.0, 80.0)  # 5.5 um
+    short = run(terrain(), profile=line, l_filter_um=3.0)
+    assert values(short)["profile/sections"] == 0
+    assert np.isnan([values(short)[f"profile/{name}"] for name in ("Ra", "Rq", "Rz", "Rt")]).all()
+    assert "draw a line of 6 um at least (18 for the five" in " ".join(short.warnings)
+    assert values(short)["profile/Pa"] > 0
+    long = run(terrain(), profile=line, l_filter_um=2.5)
+    assert values(long)["profile/sections"] == 1
+    assert values(long)["profile/Ra"] > 0
+    assert "Rz comes from 1 section lengths" in " ".join(long.warnings)
+
+
 @pytest.mark.parametrize("window", [0.0, 2.0])
 def test_the_sigma_of_a_large_map_is_that_of_theory_thinned_or_not(window: float) -> None:
     """White noise draws every pixel, noise of a window of 2 px every second; relief ends at the window, as matched."""

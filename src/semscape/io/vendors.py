@@ -45,7 +45,8 @@ def read_vendor_metadata(
     """
     metadata, warnings = SemMetadata(), list[str]()
     for found, notes in _sources(path, vendor_tags, plain, image_shape):
-        warnings += notes
+        if not (found.source.get("pixel_size_um") == "doubtful" and "pixel_size_um" in metadata.source):
+            warnings += notes  # no matter how doubtful, if it is not taken
         if found.raw or found.source:
             metadata = _completed(metadata, found)
     return metadata, tuple(dict.fromkeys(warnings))
