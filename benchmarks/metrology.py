@@ -7,6 +7,7 @@ of a true wave's height, against the one that the run states.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from functools import partial
@@ -22,7 +23,7 @@ _FILTERS = {"s_filter_um": 1.0, "l_filter_um": 20.0}
 _SERIES_PX = 448
 
 
-def measure_speed(**chosen: Any) -> dict[str, Any]:
+def measure_speed(lateral_period_px: float = 16.0, **chosen: Any) -> dict[str, Any]:
     """Time `measure` on a map of 4 megapixels, with levelling, Monte Carlo, profile and step."""
     import numpy as np
 
@@ -33,7 +34,7 @@ def measure_speed(**chosen: Any) -> dict[str, Any]:
 
     regions = Region(10, 10, 600, 600), Region(900, 900, 1500, 1500)
     request = MeasureRequest(MeasureOptions(**chosen), profile=(100, 100, 1800, 900), step=regions)
-    height_map = _relief()
+    height_map = _relief(lateral_period_px=lateral_period_px)
     return _timed_twice(
         lambda: (
             measure(
@@ -54,7 +55,7 @@ def measure_wear_speed() -> dict[str, Any]:
     return _timed_twice(lambda: measure_change(later, earlier)[0])
 
 
-def _relief(shift: tuple[int, int] = (0, 0), worn_um: float = 0.0) -> HeightMap:
+def _relief(shift: tuple[int, int] = (0, 0), worn_um: float = 0.0, lateral_period_px: float = math.nan) -> HeightMap:
     import numpy as np
     from scipy import ndimage
 
@@ -67,7 +68,8 @@ def _relief(shift: tuple[int, int] = (0, 0), worn_um: float = 0.0) -> HeightMap:
     relief[rng.random((64, 64)).repeat(32, 0).repeat(32, 1) < 0.05] = np.nan
     relief[500:600, 500:700] -= worn_um
     one, flat = np.ones(shape, np.uint8), np.zeros(shape, np.float32)
-    return HeightMap(relief, np.full(shape, 0.05), one, flat, 0.05, np.eye(4), "um")
+    period = np.full(shape, 0.05 * lateral_period_px, np.float32)
+    return HeightMap(relief, np.full(shape, 0.05), one, flat, 0.05, np.eye(4), "um", lateral_period_um=period)
 
 
 def _timed_twice(figures: Callable[[], tuple[Any, ...]]) -> dict[str, Any]:
@@ -107,6 +109,11 @@ CASES: dict[str, Case] = {
     "speed-filtered": (partial(measure_speed, **_FILTERS), ()),
     "speed-sphere": (partial(measure_speed, level="sphere", **_FILTERS), ()),
     "speed-all": (partial(measure_speed, level="poly4", robust=True, outlier_sigmas=6.0, **_FILTERS), ()),
+    "speed-all-fine": (
+        partial(measure_speed, 2.0, level="poly4", robust=True, outlier_sigmas=6.0, **_FILTERS),
+        (),
+    ),
+    "speed-fine": (partial(measure_speed, 2.0), ()),
     "speed-wear": (measure_wear_speed, ()),
     "resolution-fracture": (measure_resolution, ("fracture",)),
     "resolution-pollen": (measure_resolution, ("pollen",)),

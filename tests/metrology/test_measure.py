@@ -9,10 +9,13 @@ import pytest
 from scipy import ndimage
 
 from semscape.errors import BadInputError, NoAnswerError
+from semscape.metrology.areal import height_parameters
 from semscape.metrology.grid import Region
 from semscape.metrology.measure import measure, measure_change
+from semscape.metrology.prepare import prepared_surfaces
 from semscape.metrology.request import MeasureRequest, parse_edges, parse_line, parse_two_regions
 from semscape.metrology.resolution import PERIOD_PER_SIGMA
+from semscape.metrology.uncertainty import correlated_noise
 from semscape.options import MeasureOptions
 from semscape.types import HeightMap
 
@@ -138,6 +141,23 @@ def test_the_sigma_of_a_large_map_is_that_of_theory_thinned_or_not(window: float
     random = np.sqrt(figure.sigma**2 - figure.noise_bias**2)
     assert random == pytest.approx(0.3 * np.sqrt(area) / 700, rel=0.3)
     assert figure.noise_bias == pytest.approx(np.sqrt(1 + 0.09) - 1, rel=0.1)
+
+
+@pytest.mark.parametrize("window", [0.0, 3.0])
+def test_the_sigma_behind_filters_is_the_scatter_of_maps_that_were_filtered(window: float) -> None:
+    """The draws know the S-filter from its formula, and every other pixel; here all of it is done to whole maps."""
+    rng = np.random.default_rng(0)
+    z, pixel = 2 * ndimage.gaussian_filter(rng.normal(size=(500, 500)), 6) * 20, 0.1
+    options = MeasureOptions(draws=60, s_filter_um=1.0, l_filter_um=12.0)
+    prepare = prepared_surfaces(z, pixel, options)
+    whole = [
+        height_parameters(prepare(z + 0.4 * correlated_noise(z.shape, window, rng=rng))[1])["Sq"] for _ in range(25)
+    ]
+    given = height_map(z, pixel, sigma=0.4, window_px=window or 0.01)
+    measured = measure(given, MeasureRequest(options), height_scale_relative_sigma=0.0, rng=np.random.default_rng(1))
+    figure = next(figure for figure in measured.figures if figure.name == "Sq")
+    assert figure.noise_bias == pytest.approx(np.mean(whole) - figure.value, rel=0.3)
+    assert np.sqrt(figure.sigma**2 - figure.noise_bias**2) == pytest.approx(np.std(whole, ddof=1), rel=0.5)
 
 
 def test_robust_levelling_holds_for_the_sigmas_too() -> None:

@@ -10,33 +10,28 @@ matched.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
 from semscape.errors import BadInputError, NoAnswerError
 from semscape.metrology.areal import developed_area_ratio, developed_areas, height_parameters, root_mean_square_slope
-from semscape.metrology.filters import gaussian_smoother
 from semscape.metrology.findings import Figure, figures_of, surface_warnings
 from semscape.metrology.grid import Region
-from semscape.metrology.level import FormName, level, majority
 from semscape.metrology.material_ratio import material_ratio_parameters
 from semscape.metrology.outliers import find_outliers
 from semscape.metrology.planes import angle_between, fit_plane
+from semscape.metrology.prepare import prepared_surfaces
 from semscape.metrology.profile import Profile, extract_profile, profile_parameters
+from semscape.metrology.propagate import Errors, step_estimates, step_of_profile, surface_estimates
 from semscape.metrology.register import Comparison, compare
 from semscape.metrology.request import MeasureRequest
 from semscape.metrology.resolution import LateralResolution, lateral_resolution
 from semscape.metrology.spatial import spatial_parameters
-from semscape.metrology.step import Step, step_along_profile, step_between_regions
-from semscape.metrology.uncertainty import Estimate, monte_carlo
+from semscape.metrology.step import Step, step_between_regions
 from semscape.metrology.volume import distance, volumes
-from semscape.options import MeasureOptions
 from semscape.types import FloatArray, HeightMap
 
-_MONTE_CARLO_PIXELS = 100_000
 _SAME_PIXEL_SIZE = 1e-3
 
 
@@ -91,9 +86,9 @@ def measure(
         n_outliers = int(outliers.sum())
         matched = np.where(outliers, np.nan, matched)
     smooth, rough = prepared_surfaces(matched, pixel, options)(matched)
-    estimates = _with_uncertainty(
-        matched, uncertainty, pixel, request, resolution, height_scale_relative_sigma, rng=rng
-    )
+    errors = Errors(uncertainty, resolution.sigma_px, height_scale_relative_sigma)
+    estimates = surface_estimates(smooth, errors, pixel, options, rng=rng)
+    estimates |= step_estimates(matched, errors, pixel, request, rng=rng)
     unit = height_map.length_unit
     developed, projected = developed_areas(smooth, pixel)
     contents = volumes(smooth, pixel, options.volume_level_um)
@@ -132,48 +127,6 @@ def measure(
     return Measurement(figures, warnings, resolution, rough, origin, profile)
 
 
-def prepared_surfaces(
-    height: FloatArray, spacing: float, options: MeasureOptions, *, for_draws: bool = False
-) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
-    """Return a function from heights, known where `height` is, to the S-F and the S-L surface.
-
-    The filters' weights are computed once. For the draws of a Monte Carlo so is the majority that a robust fit
-    levels on, for it is the same in all of them, and the filters compute in single precision.
-    """
-    form = cast("FormName", options.level)
-    known = np.isfinite(height)
-    robust, region = options.robust and form != "none", None
-    if robust and for_draws:
-        robust, region = False, majority(level(height, spacing, form, robust=True).height)
-    if form == "sphere":
-        known = np.isfinite(level(height, spacing, form, robust=options.robust).height)
-    s_filter, l_filter = (
-        None if math.isnan(index) else gaussian_smoother(known, spacing, index, single=for_draws)
-        for index in (options.s_filter_um, options.l_filter_um)
-    )
-
-    def prepare(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        smooth = np.where(known, level(heights, spacing, form, robust=robust, region=region).height, np.nan)
-        if s_filter is not None:
-            # A draw's sphere may end a little earlier; what it does not reach must not become a hole of the filter.
-            smooth = s_filter(np.where(known, np.nan_to_num(smooth), np.nan))
-            if form not in ("none", "sphere"):
-                smooth = level(smooth, spacing, form, robust=robust, region=region).height
-        if l_filter is None:
-            return smooth, smooth
-        return smooth, smooth - l_filter(np.where(known, np.nan_to_num(smooth), np.nan))
-
-    return prepare
-
-
-def step_of_profile(matched: FloatArray, spacing: float, request: MeasureRequest) -> Step:
-    """Return the step at the request's edges along its profile, of the heights as they were matched."""
-    if request.profile is None:
-        raise ValueError("the edges of a step belong to a profile, and the request has none")
-    line = np.array(request.profile).reshape(2, 2)
-    return step_along_profile(extract_profile(matched, spacing, line[0], line[1]), request.edges)
-
-
 def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Figure, ...], Comparison]:
     """Register an earlier map of the same place to this one and measure what was lost and gained since.
 
@@ -210,55 +163,6 @@ def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Fig
         "turn": math.degrees(math.atan2(matrix[1, 0], matrix[0, 0])),
     }
     return figures_of("change", values, unit), replace(comparison, difference=change)
-
-
-def _with_uncertainty(
-    matched: FloatArray,
-    uncertainty: FloatArray,
-    pixel: float,
-    request: MeasureRequest,
-    resolution: LateralResolution,
-    scale_sigma: float,
-    *,
-    rng: np.random.Generator,
-) -> dict[str, Estimate]:
-    """Return Sa, Sq, volumes and steps with their uncertainties.
-
-    Of a large map every k-th pixel is drawn, no farther apart than twice the noise's sigma: a sum over such samples has
-    the variance of the sum over all, to 1e-4, for the noise between them follows from theirs.
-    """
-    options = request.options
-    stride = int(np.ceil(np.sqrt(matched.size / _MONTE_CARLO_PIXELS)))
-    stride = max(1, min(stride, int(2 * resolution.sigma_px)))
-    thinned, sigma, step_px = matched[::stride, ::stride], uncertainty[::stride, ::stride], pixel * stride
-    if np.isfinite(thinned).sum() < 10:
-        raise NoAnswerError(f"{np.isfinite(matched).sum()} heights are known in the region; choose a larger one")
-    prepare = prepared_surfaces(thinned, step_px, options, for_draws=True)
-    regions = None if request.step is None else [r.scaled(1 / stride).mask(thinned.shape) for r in request.step]
-    line = None if request.profile is None else tuple(place / stride for place in request.profile)
-    along = replace(request, profile=line)  # type: ignore[arg-type]
-
-    def figures(heights: FloatArray) -> dict[str, float]:
-        smooth, rough = prepare(heights)
-        parameters = height_parameters(rough)
-        contents = volumes(smooth, step_px, options.volume_level_um)
-        found = {"height/Sa": parameters["Sa"], "height/Sq": parameters["Sq"]}
-        found |= {"area and volume/volume above": contents.above, "area and volume/volume below": contents.below}
-        if regions is not None:
-            found["step/height"] = step_between_regions(heights, step_px, *regions).height
-        if request.edges:
-            found["step along the profile/height"] = step_of_profile(heights, step_px, along).height
-        return found
-
-    return monte_carlo(
-        thinned,
-        sigma,
-        figures,
-        correlation_sigma_px=resolution.sigma_px / stride,
-        scale_relative_sigma=scale_sigma,
-        draws=options.draws,
-        rng=rng,
-    )
 
 
 def _window(height_map: HeightMap, region: Region | None) -> tuple[slice, slice]:
