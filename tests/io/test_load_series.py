@@ -320,7 +320,10 @@ def test_potamogeton_headers_are_not_believed(shared_data: Path) -> None:
     assert any("GIMP" in text and "doubtful" in text for text in series.warnings)
     assert [row["stage_tilt_deg"] for row in describe_series(series)] == [27.0] * 4
     assert {row["sources"]["pixel_size_um"] for row in describe_series(series)} == {"doubtful"}
+    assert any("cropped or resized" in text for text in series.warnings)
     assert not any("sign of this" in text for text in series.warnings)
+    given = InputOptions(pixel_size_um=0.0744, tilts_deg=(0, 3, 6, 9))
+    assert load_series(shared_data / "tilt_series" / "potamogeton1", given).warnings == ()
 
 
 @pytest.mark.real_data

@@ -220,6 +220,8 @@ def test_wear_between_two_maps() -> None:
     assert found["volume lost"] == pytest.approx(40 * 60 * 0.1**2 * 0.5, rel=0.05)
     assert found["volume gained"] < 0.02 * found["volume lost"]
     assert found["deepest loss"] == pytest.approx(0.5, abs=0.1)
+    same, _ = measure_change(height_map(after), height_map(after))
+    assert {figure.value for figure in same if figure.name.startswith("volume")} == {0.0}
     with pytest.raises(BadInputError, match="one pixel size"):
         measure_change(height_map(after), height_map(before, pixel=0.2))
 

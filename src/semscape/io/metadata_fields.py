@@ -25,6 +25,11 @@ _UNITS: dict[str, Mapping[str, float]] = {
     "scan_rotation_rad": RAD_PER_ANGLE,
 }
 _SIGN_IS_ASSUMED = "stage's tilt is assumed"
+_DOUBTS_OF_PIXEL_SIZE = (
+    "after resizing the pixel size",
+    "the pixel size follows from",
+    "which seldom hold a microscope's",
+)
 _MAX_PIXEL_SIZE_UM = 1000.0
 _POSITIVE = ("pixel_size_um", "working_distance_um", "accelerating_voltage_kv", "magnification")
 _MAX_BAR_SHARE = 0.4
@@ -32,9 +37,12 @@ _ANISOTROPY_LIMIT = 1e-3
 _ON = {"on", "yes", "true", "1"}
 
 
-def is_about_tilt_sign(note: str) -> bool:
-    """Tell whether a note says that the sign of a stage's tilt is assumed: no matter where that tilt is not used."""
-    return _SIGN_IS_ASSUMED in note
+def is_moot(note: str, source: Mapping[str, FieldSource]) -> bool:
+    """Tell whether a note is about a value of the file that is not used, by where the fields come from in the end."""
+    about_tilt, about_size = _SIGN_IS_ASSUMED in note, any(words in note for words in _DOUBTS_OF_PIXEL_SIZE)
+    return (about_tilt and source.get("tilt_rad") != "file") or (
+        about_size and source.get("pixel_size_um") in ("user", "sidecar")
+    )
 
 
 class MetadataFields:

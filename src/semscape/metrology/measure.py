@@ -33,6 +33,7 @@ from semscape.metrology.volume import distance, volumes
 from semscape.types import FloatArray, HeightMap
 
 _SAME_PIXEL_SIZE = 1e-3
+_ROUNDING = 1e-6  # of a px: two maps that are the same differ by that
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,7 @@ def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Fig
         )
     comparison = compare(height_map.height_um, earlier.height_um, pixel)
     change = -comparison.difference
-    limit = 3 * comparison.residual_sigma
+    limit = 3 * comparison.residual_sigma + _ROUNDING * pixel
     lost, gained = np.where(change < -limit, -change, 0.0), np.where(change > limit, change, 0.0)
     matrix = comparison.first_from_second
     rows, cols = height_map.height_um.shape
