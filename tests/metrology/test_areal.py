@@ -147,6 +147,11 @@ def test_a_lay_that_runs_through_the_field_has_no_str() -> None:
     assert spatial_parameters(tall, 0.1)["Sal"] == pytest.approx(10 * np.arccos(0.2) / (2 * np.pi), rel=0.015)
 
 
+def test_a_surface_without_any_relief_has_no_texture() -> None:
+    found = spatial_parameters(np.zeros((30, 40)), 1.0)
+    assert np.isnan([found["Sal"], found["Str"]]).all()
+
+
 def test_unknown_heights_are_left_out_and_not_taken_for_zero() -> None:
     rng = np.random.default_rng(3)
     z = rng.normal(0, 1, (300, 300)) + 100

@@ -160,6 +160,23 @@ def test_the_sigma_behind_filters_is_the_scatter_of_maps_that_were_filtered(wind
     assert np.sqrt(figure.sigma**2 - figure.noise_bias**2) == pytest.approx(np.std(whole, ddof=1), rel=0.5)
 
 
+@pytest.mark.parametrize(("window", "n"), [(0.0, 700), (2.0, 700), (0.0, 90)])
+def test_the_sigma_of_a_step_is_that_of_least_squares(window: float, n: int) -> None:
+    """Of two planes of one slope; white noise and noise of a window, on large regions and on small ones."""
+    regions = Region(0, 0, 0.4 * n, 0.4 * n), Region(0.55 * n, 0.1 * n, 0.95 * n, 0.5 * n)
+    given = height_map(np.zeros((n, n)), 0.1, sigma=0.3, window_px=window or 0.01)
+    request = MeasureRequest(MeasureOptions(draws=60), step=regions, profile=(0, 5, n - 1, 5), edges=(0.05 * n,))
+    measured = measure(given, request, height_scale_relative_sigma=0.0, rng=np.random.default_rng(0))
+    sigma = {figure.group: figure.sigma for figure in measured.figures if figure.name == "height"}
+    masks = [region.mask((n, n)) for region in regions]
+    rows, cols = np.nonzero(masks[0] | masks[1])
+    design = np.column_stack([cols, rows, np.ones(len(cols)), masks[1][rows, cols]])
+    independent = 0.3 * np.sqrt(np.linalg.inv(design.T @ design)[3, 3])
+    alike = max(4 * np.pi * window**2, 1.0)
+    assert sigma["step"] == pytest.approx(independent * np.sqrt(alike), rel=0.35)
+    assert sigma["step along the profile"] > 0.3 * np.sqrt(2 / n)
+
+
 def test_robust_levelling_holds_for_the_sigmas_too() -> None:
     """A particle on a tilted plane: with a robust fit neither the value nor its sigma knows the plane's tilt."""
     rows, cols = np.indices((120, 120))

@@ -79,7 +79,8 @@ def measure(
     window = _window(height_map, request.region)
     matched, uncertainty = height_map.height_um[window], height_map.uncertainty_um[window]
     origin = int(window[1].start or 0), int(window[0].start or 0)
-    resolution = lateral_resolution(height_map.height_um, pixel, height_map.lateral_period_um[window])
+    stated = height_map.lateral_period_um[window][np.isfinite(matched)]
+    resolution = lateral_resolution(height_map.height_um, pixel, stated)
     request = _shifted(request, origin)
     n_outliers = 0
     if not math.isnan(options.outlier_sigmas):

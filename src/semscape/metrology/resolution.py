@@ -68,7 +68,7 @@ def lateral_resolution(
         Heights as they were matched, before any filter; NaN = unknown.
     spacing : float or (dx, dy)
         Grid spacing; the wider step counts where they differ.
-    stated : (h, w) float array, optional
+    stated : (N,) or (h, w) float array, optional
         The limits that the matching states, in the unit of the spacing, for the places that are measured; NaN =
         unknown. Without any the map's spectrum is asked.
 
