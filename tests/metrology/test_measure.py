@@ -147,11 +147,11 @@ def test_the_sigma_of_a_large_map_is_that_of_theory_thinned_or_not(window: float
 def test_the_sigma_behind_filters_is_the_scatter_of_maps_that_were_filtered(window: float) -> None:
     """The draws know the S-filter from its formula, and every other pixel; here all of it is done to whole maps."""
     rng = np.random.default_rng(0)
-    z, pixel = 2 * ndimage.gaussian_filter(rng.normal(size=(500, 500)), 6) * 20, 0.1
+    z, pixel = 2 * ndimage.gaussian_filter(rng.normal(size=(400, 400)), 6) * 20, 0.1
     options = MeasureOptions(draws=60, s_filter_um=1.0, l_filter_um=12.0)
     prepare = prepared_surfaces(z, pixel, options)
     whole = [
-        height_parameters(prepare(z + 0.4 * correlated_noise(z.shape, window, rng=rng))[1])["Sq"] for _ in range(25)
+        height_parameters(prepare(z + 0.4 * correlated_noise(z.shape, window, rng=rng))[1])["Sq"] for _ in range(20)
     ]
     given = height_map(z, pixel, sigma=0.4, window_px=window or 0.01)
     measured = measure(given, MeasureRequest(options), height_scale_relative_sigma=0.0, rng=np.random.default_rng(1))

@@ -57,8 +57,8 @@ def wave_transmission(
     --------
     >>> true = 0.1 * np.random.default_rng(0).normal(size=(300, 300))
     >>> found = ndimage.gaussian_filter(true, 3.0)  # half of a wave of 5.34 * 3 px passes
-    >>> round(wave_transmission(found, true).half_px)
-    16
+    >>> 15 < wave_transmission(found, true).half_px < 18
+    True
     """
     known = np.isfinite(found_px) & np.isfinite(true_px)
     left_out = ~known | (np.hypot(*np.gradient(np.where(known, true_px, 0.0))) > _STEEPEST)
