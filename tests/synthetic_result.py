@@ -110,6 +110,7 @@ def make_result(unit: LengthUnit = "um", size: tuple[int, int] = (60, 80), n_poi
         pixel_size_um=pixel,
         world_from_grid=world_from_grid,
         length_unit=unit,
+        lateral_period_um=np.where(np.isfinite(heights), 12 * pixel, np.nan).astype(np.float32),
     )
     corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * 10.0 * pixel
     mesh = SurfaceMesh(

@@ -291,9 +291,9 @@ class Reason(IntEnum):
 class HeightMap(_Value):
     """Heights over a regular grid at zero tilt: world_um = world_from_grid @ (col, row, height_um, 1).
 
-    `height_um` and `uncertainty_um` (1 sigma) are (H, W), NaN = unknown; `n_views` (H, W) counts the views
-    that agree on each height; `texture` (H, W) float32 is the reference micrograph resampled into the grid;
-    `reason` (H, W) uint8 holds values of `Reason`, `specimen` (H, W) is False on the background.
+    `height_um`, `uncertainty_um` (1 sigma) and `lateral_period_um` (float32, of the wave that the heights hold with
+    half its height) are (H, W), NaN = unknown; `n_views` counts the views that agree on each height; `texture` float32
+    is the reference micrograph in the grid; `reason` uint8 holds `Reason`s; `specimen` is False on the background.
     """
 
     height_um: FloatArray
@@ -305,13 +305,13 @@ class HeightMap(_Value):
     length_unit: LengthUnit
     reason: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 0), np.uint8))
     specimen: BoolArray = field(default_factory=lambda: np.empty((0, 0), np.bool_))
+    lateral_period_um: ImageArray = field(default_factory=lambda: np.empty((0, 0), np.float32))
 
     def __post_init__(self) -> None:
-        if self.reason.shape != self.height_um.shape:  # left out
-            told = np.where(np.isfinite(self.height_um), Reason.KNOWN, Reason.NOT_TOLD).astype(np.uint8)
-            object.__setattr__(self, "reason", told)
-        if self.specimen.shape != self.height_um.shape:
-            object.__setattr__(self, "specimen", np.ones(self.height_um.shape, np.bool_))
+        told = np.where(np.isfinite(self.height_um), np.uint8(Reason.KNOWN), np.uint8(Reason.NOT_TOLD))
+        left_out = {"reason": told, "specimen": np.ones_like(told, bool), "lateral_period_um": told * np.float32("nan")}
+        for name in [name for name in left_out if getattr(self, name).shape != told.shape]:
+            object.__setattr__(self, name, left_out[name])
         super().__post_init__()
 
 

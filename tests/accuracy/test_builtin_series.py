@@ -15,6 +15,7 @@ import pytest
 import semscape
 from semscape.evaluate.height_errors import height_error, height_figures, true_units
 from semscape.evaluate.motion_errors import tilt_figures
+from semscape.evaluate.transmission import transmission_figures
 from semscape.simulate import simulate
 from semscape.types import Result, SimulationTruth
 
@@ -46,6 +47,16 @@ def test_the_heights(heights: dict[str, Any]) -> None:
     assert 0.3 < heights["median_abs_error_px"] < 1.5
     assert 0.90 < heights["completeness"] <= 1.0
     assert 0.55 < heights["within_1_sigma"] < 0.80
+
+
+def test_the_lateral_resolution_is_the_stated_one(built_in: tuple[Result, SimulationTruth]) -> None:
+    """Half of a true wave's height is left where the run says so, from its noise and smoothness alone."""
+    result, truth = built_in
+    motion, reference = result.reconstruction.motion, result.reconstruction.reference
+    error = height_error(result.height_map, motion, reference, truth)
+    figures = transmission_figures(result.height_map, result.height_map.height_um - error.error_um)
+    assert 0.75 < figures["stated_period_px"] / figures["true_period_px"] < 1.25
+    assert 8 < figures["true_period_px"] < 30
 
 
 @pytest.mark.xfail(strict=True, reason="the goal; see docs/method.md, what limits the heights")

@@ -54,6 +54,11 @@ def test_tiles_agree_with_one_piece() -> None:
     # Where noise decides, it decides anew: matching starts at another place. Sigmas say how far that goes.
     error, sigma = np.abs(whole.height_um - tiled.height_um)[known], whole.uncertainty_um[known]
     assert np.mean(error <= sigma) > 0.9
+    # The resolution rests on the noise, too; it is stated wherever a height is.
+    assert np.array_equal(np.isfinite(tiled.lateral_period_um), np.isfinite(tiled.height_um))
+    ratio = (tiled.lateral_period_um / whole.lateral_period_um)[known]
+    assert np.median(ratio) == pytest.approx(1, abs=0.1)
+    assert np.mean(np.abs(ratio - 1) < 0.5) > 0.95
     # The tiles' borders are no worse than the rest.
     seam = np.zeros(known.shape, bool)
     seam[120:140] = seam[:, 140:160] = True

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from semscape.errors import BadInputError
 from semscape.io.hitachi import parse_hitachi
 from semscape.io.jeol import parse_jeol
 from semscape.io.phenom import parse_phenom
 from semscape.io.plain_tags import PlainTags, parse_plain_tags
 from semscape.io.quantities import KV_PER_VOLTAGE, RAD_PER_ANGLE, UM_PER_LENGTH, parse_quantity
+from semscape.io.series_toml import read_series_toml
 from semscape.io.tescan import parse_tescan, tescan_tag_text
 from semscape.io.thermo_fisher import parse_thermo_fisher
 from semscape.io.thermo_fisher_xml import parse_thermo_fisher_xml
 from semscape.io.vendor_text import decode_text
+from semscape.io.vendors import VENDOR_TAGS, read_vendor_metadata
 from semscape.io.zeiss import parse_zeiss
 from semscape.types import SemMetadata
 
@@ -51,7 +56,9 @@ FORMS = {
     "phenom": '<FeiImage><pixelWidth unit="nm">{}</pixelWidth><magnification>{}</magnification>'
     "<databarHeight>{}</databarHeight></FeiImage>",
     "plain": "ImageJ=1\nunit={}\n",
+    "ome plain": '<OME><Image><Pixels PhysicalSizeX="{}" PhysicalSizeXUnit="{}" PhysicalSizeY="{}"/></Image></OME>',
 }
+SERIES_TOML = 'pixel_size_um = {}\ntilts_deg = {}\naxis_deg = {}\n[images."a.tif"]\ndynamic_focus = {}\n'
 NUMBERS = st.one_of(
     st.floats().map(repr),
     st.integers().map(str),
@@ -98,7 +105,7 @@ def test_any_value(name: str) -> None:
     @QUICK
     @given(st.lists(VALUES, min_size=count, max_size=count))
     def run(values: list[str]) -> None:
-        check(PARSERS[name.removeprefix("old ")](FORMS[name].format(*values)))
+        check(PARSERS[name.split()[-1]](FORMS[name].format(*values)))
 
     run()
 
@@ -108,6 +115,31 @@ def test_any_value(name: str) -> None:
 def test_any_bytes(data: bytes) -> None:
     assert isinstance(decode_text(data), str)
     check(parse_tescan(tescan_tag_text(data), SHAPE))
+
+
+@QUICK
+@given(st.sampled_from(VENDOR_TAGS), st.binary(), st.sampled_from([".txt", ".hdr"]), st.binary())
+@example(VENDOR_TAGS[0], b"", ".txt", "[SemImageFile]\nPixelSize=1".encode("utf-16")[:-1])
+def test_any_bytes_of_tags_and_sidecars(tag: int, data: bytes, suffix: str, sidecar: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        (Path(folder) / f"a{suffix}").write_bytes(sidecar)
+        metadata, warnings = read_vendor_metadata(Path(folder) / "a.tif", {tag: data}, PlainTags(), SHAPE)
+    check((metadata, warnings))
+    assert metadata.raw or warnings  # what is dropped is said
+
+
+@QUICK
+@given(st.one_of(st.text(), st.lists(VALUES, min_size=4, max_size=4).map(lambda v: SERIES_TOML.format(*v))))
+@example(SERIES_TOML.format("1", "[1, 2]", "90.0", '"on"'))
+def test_any_series_toml(text: str) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "series.toml"
+        path.write_bytes(text.encode("utf-8", errors="surrogatepass"))
+        try:
+            told = read_series_toml(path, ["a.tif", "b.tif"])
+        except BadInputError:
+            return
+    assert all(not math.isnan(value) for fields in told.fields.values() for value in fields.values())
 
 
 @QUICK

@@ -112,8 +112,27 @@ def test_copied_header_makes_the_pixel_size_doubtful(tmp_path: Path) -> None:
     series = load_series(tmp_path)
     np.testing.assert_allclose(series.pixel_size_um, 0.07443)
     assert any("GIMP" in text and "doubtful" in text for text in series.warnings)
+    assert {row["sources"]["pixel_size_um"] for row in describe_series(series)} == {"doubtful"}
+    assert not any("sign of this" in text for text in series.warnings)  # no tilt is taken from the headers
     given = load_series(tmp_path, InputOptions(tilts_deg=(0, 3, 6), pixel_size_um=0.07))
     assert given.warnings == ()
+
+
+def test_a_sign_that_is_assumed_is_said_where_the_tilt_is_used(tmp_path: Path) -> None:
+    for i, tilt in enumerate((0.0, 5.0, 10.0)):
+        write_tiff(
+            tmp_path / f"img{i}.tif",
+            noise(i),
+            zeiss=zeiss_text(
+                AP_IMAGE_PIXEL_SIZE="Image Pixel Size = 50 nm",
+                AP_STAGE_AT_T=f"Stage at T = {tilt} °",
+                AP_TILT_AXIS="Tilt Axis = 90",
+            ),
+        )
+    used = [text for text in load_series(tmp_path).warnings if "sign of this" in text]
+    assert len(used) == 1
+    assert used[0].startswith("img1.tif, img2.tif: ")  # zero has no sign
+    assert not any("sign of" in text for text in load_series(tmp_path, InputOptions(tilts_deg=(0, 5, 10))).warnings)
 
 
 def test_spread_of_pixel_sizes(tmp_path: Path) -> None:
@@ -300,6 +319,11 @@ def test_potamogeton_headers_are_not_believed(shared_data: Path) -> None:
     assert any("27 deg" in text for text in series.warnings)
     assert any("GIMP" in text and "doubtful" in text for text in series.warnings)
     assert [row["stage_tilt_deg"] for row in describe_series(series)] == [27.0] * 4
+    assert {row["sources"]["pixel_size_um"] for row in describe_series(series)} == {"doubtful"}
+    assert any("cropped or resized" in text for text in series.warnings)
+    assert not any("sign of this" in text for text in series.warnings)
+    given = InputOptions(pixel_size_um=0.0744, tilts_deg=(0, 3, 6, 9))
+    assert load_series(shared_data / "tilt_series" / "potamogeton1", given).warnings == ()
 
 
 @pytest.mark.real_data

@@ -152,6 +152,38 @@ def test_hitachi_sidecar(tmp_path: Path, model: str, encoding: str) -> None:
     assert any("10.2 deg, but is stored even when it is off" in text for text in warnings)
 
 
+def hitachi_bytes() -> bytes:
+    return HITACHI.format("TM4000").encode("utf-16")
+
+
+@pytest.mark.parametrize(
+    ("content", "known"),
+    [
+        (hitachi_bytes()[:1] + hitachi_bytes()[2:], False),  # the mark lost a byte: nothing can be read
+        (b"\xff\xfe" + hitachi_bytes()[3:], False),
+        (hitachi_bytes()[:200] + hitachi_bytes()[201:], True),  # a byte is lost within: the beginning can be read
+        (hitachi_bytes()[:201], True),
+        (b"", False),
+        ("[SemImage]\nPixelSize=5\n".encode("utf-16"), False),  # the section is missing
+    ],
+)
+def test_a_damaged_sidecar_is_said(tmp_path: Path, content: bytes, known: bool) -> None:
+    path = write_tiff(tmp_path / "a.tif", noise(1, (96, 1280)))
+    (tmp_path / "a.txt").write_bytes(content)
+    micrograph, warnings = read_micrograph_and_warnings(path)
+    assert any(".txt file beside the image" in text for text in warnings)
+    assert (micrograph.metadata.vendor == "Hitachi") == known
+    assert math.isnan(micrograph.metadata.tilt_rad)
+    assert math.isnan(micrograph.metadata.working_distance_um)
+
+
+def test_a_tag_that_holds_nothing_is_said(tmp_path: Path) -> None:
+    path = write_tiff(tmp_path / "a.tif", noise(1), fei="no section and no value")
+    micrograph, warnings = read_micrograph_and_warnings(path)
+    assert "tag 34682 holds nothing that can be read" in warnings[0]
+    assert math.isnan(micrograph.metadata.pixel_size_um)
+
+
 OLD_HITACHI = """[SemImageFile]
 InstructName=S-4700
 SerialNumber=0000-00
@@ -194,12 +226,15 @@ def test_hitachi_tilt_compensation_of_unknown_angle() -> None:
     assert metadata.scan_rotation_rad == 0.0
 
 
-def test_other_texts_beside_an_image_are_left_alone(tmp_path: Path) -> None:
+def test_nothing_is_taken_from_other_texts_beside_an_image(tmp_path: Path) -> None:
     path = write_tiff(tmp_path / "a.tif", noise(1))
     (tmp_path / "a.txt").write_text("PixelSize=5\nnotes of the day")
     (tmp_path / "a.hdr").write_bytes(bytes(range(256)))
     micrograph, warnings = read_micrograph_and_warnings(path)
-    assert warnings == ()
+    assert warnings == (
+        "a.tif: nothing is taken from the .txt file beside the image: neither JEOL's nor Hitachi's nor TESCAN's",
+        "a.tif: nothing is taken from the .hdr file beside the image: its text is not whole",
+    )
     assert dict(micrograph.metadata.source) == {}
 
 

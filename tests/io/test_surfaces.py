@@ -83,11 +83,12 @@ def test_an_older_map_tells_no_reasons(tmp_path) -> None:
     from semscape.types import HeightMap, Reason
 
     old = {item.name: getattr(RESULT.height_map, item.name) for item in fields(HeightMap)}
-    del old["reason"], old["specimen"]
+    del old["reason"], old["specimen"], old["lateral_period_um"]
     height_map = HeightMap(**old)
     known = np.isfinite(height_map.height_um)
     assert (height_map.reason == np.where(known, Reason.KNOWN, Reason.NOT_TOLD)).all()
     assert height_map.specimen.all()
+    assert np.isnan(height_map.lateral_period_um).all()
 
 
 def test_ply_of_a_px_series_says_px() -> None:
@@ -112,6 +113,10 @@ def test_height_map_npz_round_trips_with_the_unit_in_its_keys(result, unit, tmp_
     np.testing.assert_array_equal(back.n_views, result.height_map.n_views)
     np.testing.assert_array_equal(back.reason, result.height_map.reason)
     np.testing.assert_array_equal(back.specimen, result.height_map.specimen)
+    np.testing.assert_array_equal(back.lateral_period_um, result.height_map.lateral_period_um)
+    assert back.lateral_period_um.dtype == np.float32
+    with np.load(path) as arrays:
+        assert f"lateral_period_{unit}" in arrays.files
     np.testing.assert_array_equal(back.world_from_grid, result.height_map.world_from_grid)
     assert (back.pixel_size_um, back.length_unit) == (result.height_map.pixel_size_um, unit)
 

@@ -9,18 +9,26 @@ import pytest
 from scipy import ndimage
 
 from semscape.errors import BadInputError, NoAnswerError
+from semscape.metrology.areal import height_parameters
 from semscape.metrology.grid import Region
 from semscape.metrology.measure import measure, measure_change
+from semscape.metrology.prepare import prepared_surfaces
 from semscape.metrology.request import MeasureRequest, parse_edges, parse_line, parse_two_regions
+from semscape.metrology.resolution import PERIOD_PER_SIGMA
+from semscape.metrology.uncertainty import correlated_noise
 from semscape.options import MeasureOptions
 from semscape.types import HeightMap
 
 
-def height_map(z: np.ndarray, pixel: float = 0.1, unit: str = "um", sigma: float = 0.01) -> HeightMap:
-    grid = np.diag([pixel, -pixel, 1, 1])
+def height_map(
+    z: np.ndarray, pixel: float = 0.1, unit: str = "um", sigma: float = 0.01, window_px: float = np.nan
+) -> HeightMap:
+    """A map that states the lateral period of a window of that sigma, NaN: none."""
+    grid, period = np.diag([pixel, -pixel, 1, 1]), np.full(z.shape, PERIOD_PER_SIGMA * window_px * pixel, np.float32)
     return HeightMap(
-        z, np.full(z.shape, sigma), np.full(z.shape, 3, np.uint8), np.zeros(z.shape, np.float32), pixel, grid, unit
-    )
+        z, np.full(z.shape, sigma), np.full(z.shape, 3, np.uint8), np.zeros(z.shape, np.float32), pixel, grid, unit,
+        lateral_period_um=period,
+    )  # fmt: skip
 
 
 def terrain(n: int = 160) -> np.ndarray:
@@ -41,12 +49,11 @@ def run(z: np.ndarray, *, draws: int = 6, **kwargs):
     request_keys = {spec.name for spec in dataclasses.fields(MeasureRequest)}
     request = {key: value for key, value in kwargs.items() if key in request_keys}
     options = {key: value for key, value in kwargs.items() if key not in request_keys}
-    given = height_map(z)
+    given = height_map(z, window_px=2.0)
     return measure(
         given,
         MeasureRequest(MeasureOptions(draws=draws, **options), **request),
         height_scale_relative_sigma=0.01,
-        window_sigma_px=2.0,
         rng=np.random.default_rng(0),
     )
 
@@ -103,6 +110,19 @@ def test_a_step_along_a_profile_and_roughness_with_an_l_filter() -> None:
     assert "profile/Ra" not in values(run(terrain(), profile=line))
 
 
+def test_a_profile_too_short_for_its_filter_has_no_ra_and_says_so() -> None:
+    line = (0.0, 80.0, 55.0, 80.0)  # 5.5 um
+    short = run(terrain(), profile=line, l_filter_um=3.0)
+    assert values(short)["profile/sections"] == 0
+    assert np.isnan([values(short)[f"profile/{name}"] for name in ("Ra", "Rq", "Rz", "Rt")]).all()
+    assert "draw a line of 6 um at least (18 for the five" in " ".join(short.warnings)
+    assert values(short)["profile/Pa"] > 0
+    long = run(terrain(), profile=line, l_filter_um=2.5)
+    assert values(long)["profile/sections"] == 1
+    assert values(long)["profile/Ra"] > 0
+    assert "Rz comes from 1 section lengths" in " ".join(long.warnings)
+
+
 @pytest.mark.parametrize("window", [0.0, 2.0])
 def test_the_sigma_of_a_large_map_is_that_of_theory_thinned_or_not(window: float) -> None:
     """White noise draws every pixel, noise of a window of 2 px every second; relief ends at the window, as matched."""
@@ -112,8 +132,8 @@ def test_the_sigma_of_a_large_map_is_that_of_theory_thinned_or_not(window: float
         z = ndimage.gaussian_filter(z, window)
     z /= z.std()
     measured = measure(
-        height_map(z, sigma=0.3), MeasureRequest(MeasureOptions(draws=60)), height_scale_relative_sigma=0.0,
-        window_sigma_px=window, rng=np.random.default_rng(1),
+        height_map(z, sigma=0.3, window_px=window or np.nan), MeasureRequest(MeasureOptions(draws=60)),
+        height_scale_relative_sigma=0.0, rng=np.random.default_rng(1),
     )  # fmt: skip
     figure = next(figure for figure in measured.figures if figure.name == "Sq")
     # Both relief and noise are correlated as exp(-d² / 4 s²): the sum of the product over all lags is 2 pi s² px.
@@ -121,6 +141,40 @@ def test_the_sigma_of_a_large_map_is_that_of_theory_thinned_or_not(window: float
     random = np.sqrt(figure.sigma**2 - figure.noise_bias**2)
     assert random == pytest.approx(0.3 * np.sqrt(area) / 700, rel=0.3)
     assert figure.noise_bias == pytest.approx(np.sqrt(1 + 0.09) - 1, rel=0.1)
+
+
+@pytest.mark.parametrize("window", [0.0, 3.0])
+def test_the_sigma_behind_filters_is_the_scatter_of_maps_that_were_filtered(window: float) -> None:
+    """The draws know the S-filter from its formula, and every other pixel; here all of it is done to whole maps."""
+    rng = np.random.default_rng(0)
+    z, pixel = 2 * ndimage.gaussian_filter(rng.normal(size=(400, 400)), 6) * 20, 0.1
+    options = MeasureOptions(draws=60, s_filter_um=1.0, l_filter_um=12.0)
+    prepare = prepared_surfaces(z, pixel, options)
+    whole = [
+        height_parameters(prepare(z + 0.4 * correlated_noise(z.shape, window, rng=rng))[1])["Sq"] for _ in range(20)
+    ]
+    given = height_map(z, pixel, sigma=0.4, window_px=window or 0.01)
+    measured = measure(given, MeasureRequest(options), height_scale_relative_sigma=0.0, rng=np.random.default_rng(1))
+    figure = next(figure for figure in measured.figures if figure.name == "Sq")
+    assert figure.noise_bias == pytest.approx(np.mean(whole) - figure.value, rel=0.3)
+    assert np.sqrt(figure.sigma**2 - figure.noise_bias**2) == pytest.approx(np.std(whole, ddof=1), rel=0.5)
+
+
+@pytest.mark.parametrize(("window", "n"), [(0.0, 700), (2.0, 700), (0.0, 90)])
+def test_the_sigma_of_a_step_is_that_of_least_squares(window: float, n: int) -> None:
+    """Of two planes of one slope; white noise and noise of a window, on large regions and on small ones."""
+    regions = Region(0, 0, 0.4 * n, 0.4 * n), Region(0.55 * n, 0.1 * n, 0.95 * n, 0.5 * n)
+    given = height_map(np.zeros((n, n)), 0.1, sigma=0.3, window_px=window or 0.01)
+    request = MeasureRequest(MeasureOptions(draws=60), step=regions, profile=(0, 5, n - 1, 5), edges=(0.05 * n,))
+    measured = measure(given, request, height_scale_relative_sigma=0.0, rng=np.random.default_rng(0))
+    sigma = {figure.group: figure.sigma for figure in measured.figures if figure.name == "height"}
+    masks = [region.mask((n, n)) for region in regions]
+    rows, cols = np.nonzero(masks[0] | masks[1])
+    design = np.column_stack([cols, rows, np.ones(len(cols)), masks[1][rows, cols]])
+    independent = 0.3 * np.sqrt(np.linalg.inv(design.T @ design)[3, 3])
+    alike = max(4 * np.pi * window**2, 1.0)
+    assert sigma["step"] == pytest.approx(independent * np.sqrt(alike), rel=0.35)
+    assert sigma["step along the profile"] > 0.3 * np.sqrt(2 / n)
 
 
 def test_robust_levelling_holds_for_the_sigmas_too() -> None:
@@ -158,6 +212,16 @@ def test_warnings_say_what_limits() -> None:
     assert {figure.unit for figure in pixels.figures} <= {"px", "px²", "px³", "px³/px²", "%", ""}
 
 
+def test_the_stated_resolution_is_that_of_the_measured_region() -> None:
+    z = terrain()
+    period = np.where(np.indices(z.shape)[1] < 80, 1.2, 3.0).astype(np.float32)
+    given = dataclasses.replace(height_map(z), lateral_period_um=period)
+    request = MeasureRequest(MeasureOptions(draws=2), region=Region(0, 0, 79, 159))
+    left = measure(given, request, rng=np.random.default_rng(0))
+    assert (left.resolution.source, left.resolution.period) == ("matching", pytest.approx(1.2))
+    assert "--s-filter-um 1.3" in " ".join(left.warnings)
+
+
 def test_the_same_seed_gives_the_same_figures() -> None:
     assert run(terrain()).figures == run(terrain()).figures
 
@@ -173,6 +237,8 @@ def test_wear_between_two_maps() -> None:
     assert found["volume lost"] == pytest.approx(40 * 60 * 0.1**2 * 0.5, rel=0.05)
     assert found["volume gained"] < 0.02 * found["volume lost"]
     assert found["deepest loss"] == pytest.approx(0.5, abs=0.1)
+    same, _ = measure_change(height_map(after), height_map(after))
+    assert {figure.value for figure in same if figure.name.startswith("volume")} == {0.0}
     with pytest.raises(BadInputError, match="one pixel size"):
         measure_change(height_map(after), height_map(before, pixel=0.2))
 

@@ -136,10 +136,15 @@ def test_a_sine_of_the_stated_period_passes_with_half_its_height() -> None:
     assert matched(wave)[30, 100:400].max() == pytest.approx(0.5, abs=0.06)
 
 
-def test_the_resolution_is_never_finer_than_window_or_pixels() -> None:
+def test_what_the_matching_states_goes_before_the_spectrum() -> None:
     white = np.random.default_rng(0).normal(size=(200, 200))
     assert lateral_resolution(white, 0.5).period == 1.0
     assert lateral_resolution(white, 0.5).source == "pixel"
-    found = lateral_resolution(white, 0.5, window_sigma_px=3.0)
-    assert (found.period_px, found.source) == (PERIOD_PER_SIGMA * 3, "window")
+    stated = np.full(white.shape, 8.0)
+    stated[:50], stated[50:60] = 4.0, np.nan
+    found = lateral_resolution(white, 0.5, stated)
+    assert (found.period, found.period_px, found.source) == (8.0, 16.0, "matching")
+    assert found.range_px == (8.0, 16.0)
+    assert found.sigma_px == pytest.approx(16 / PERIOD_PER_SIGMA)
+    assert lateral_resolution(white, 0.5, np.full(white.shape, np.nan)).source == "pixel"
     assert window_in_spectrum(np.full((50, 50), np.nan)) == 0

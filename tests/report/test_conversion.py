@@ -121,10 +121,13 @@ def test_the_print_has_its_scale_and_is_closed(runs: dict[str, Path], tmp_path: 
     (path,) = convert(runs["um"], ["print"], tmp_path, ConvertOptions(print_size_mm=60, base_mm=3))
     by_size = trimesh.load_mesh(path)
     assert by_size.is_watertight
-    assert by_size.extents[0] == pytest.approx(60 * 79 / 80, rel=1e-5)
+    assert by_size.extents[0] == pytest.approx(60, rel=1e-6)  # the plate has the size that was asked for
+    thinned = ConvertOptions(print_size_mm=60, max_vertices=900)
+    (path,) = convert(runs["um"], ["print"], tmp_path, thinned)
+    assert trimesh.load_mesh(path).extents[0] == pytest.approx(60, rel=1e-6)
     (path,) = convert(runs["um"], ["print"], tmp_path, ConvertOptions(print_scale=15_000, base_mm=3))
     by_scale = trimesh.load_mesh(path)
-    np.testing.assert_allclose(by_scale.extents, by_size.extents, rtol=1e-5)
+    assert by_scale.extents[0] == pytest.approx(79 * 0.05 * 15, rel=1e-6)
     heights = read_height_map(runs["um"] / "height_map.npz").height_um
     assert by_scale.extents[2] == pytest.approx(3 + np.ptp(heights[np.isfinite(heights)]) * 15, rel=1e-5)
     assert path.read_bytes()[:80].rstrip() == b"semscape surface UNITS=mm print 15000:1"
@@ -140,6 +143,23 @@ def test_colour_by_height(runs: dict[str, Path], tmp_path: Path, suffix: str) ->
     # viridis goes from dark violet to yellow.
     np.testing.assert_array_equal(color[np.argmin(z)][:3], [68, 1, 84])
     np.testing.assert_array_equal(color[np.argmax(z)][:3], [253, 231, 36])
+
+
+def test_what_a_format_does_not_hold_is_said(
+    runs: dict[str, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    convert(runs["um"], ["stl", "ply"], tmp_path / "plain")
+    assert caplog.messages == [
+        "the micrograph is left out of stl: no colours are written there; ply, obj and glb have them"
+    ]
+    caplog.clear()
+    convert(runs["um"], ["ply", "x3p", "print"], tmp_path / "mm", ConvertOptions(unit="mm"))
+    assert caplog.messages == [
+        "--unit mm is that of the meshes alone (x3p in metres, as the format has it; the print is in mm)"
+    ]
+    caplog.clear()
+    convert(runs["um"], ["ply", "x3p"], tmp_path / "quiet")
+    assert not caplog.messages
 
 
 def test_stereo_pictures(runs: dict[str, Path], tmp_path: Path) -> None:
@@ -171,6 +191,9 @@ def test_stereo_pictures(runs: dict[str, Path], tmp_path: Path) -> None:
         (["--to", "3mf", "--unit", "nm"], "no nanometre"),
         (["--to", "ply", "--color", "mauve"], "--color 'mauve'"),
         (["--to", "print", "--base-mm", "0"], "--base-mm must be"),
+        (["--to", "x3p,csv", "--unit", "mm"], "changes nothing for x3p, csv (x3p in metres, as the format has it; csv"),
+        (["--to", "stl", "--color", "viridis"], "leave it out, or ask for ply or obj or glb"),
+        (["--to", "stl", "--base-mm", "3"], "--base-mm 3.0 changes nothing for stl"),
     ],
 )
 def test_bad_requests_end_with_2_and_write_nothing(

@@ -17,7 +17,6 @@ from semscape.errors import BadInputError
 from semscape.io.finished_run import read_finished_run
 from semscape.io.surfaces import encode_height_map_npz
 from semscape.metrology.request import MeasureRequest
-from semscape.metrology.resolution import lateral_resolution
 from semscape.options import MeasureOptions, Options
 from semscape.report.measurement import measure_run, print_measurement, write_measurement
 from semscape.types import HeightMap
@@ -62,9 +61,7 @@ def test_a_run_says_how_far_its_heights_can_be_trusted(run_folder: Path) -> None
     assert run.height_scale_relative_sigma == 0.012
     assert (run.ambiguity, run.verdict[:5]) == ("none", "good:")
     assert run.height_map.pixel_size_um == 0.25
-    assert lateral_resolution(run.height_map.height_um, 1.0, run.window_sigma_px).period_px >= 24
     alone = read_finished_run(run_folder / "height_map.npz")
-    assert alone.window_sigma_px == 0
     assert np.isnan(alone.height_scale_relative_sigma)
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from semscape.dense.consistency import ComparedViews, compare_views
+from semscape.dense.lateral import half_passing_period
 from semscape.dense.posterior import (
     DataTerm,
     LatticeTable,
@@ -32,7 +33,7 @@ from semscape.dense.posterior import (
 from semscape.dense.sampling import gaussian_window
 from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.dense.sweep import Views
-from semscape.types import BoolArray, FloatArray
+from semscape.types import BoolArray, FloatArray, ImageArray
 
 _FIRST_ROUNDS = 3
 _ROUNDS = 4
@@ -64,11 +65,15 @@ _ISLAND_SHARE = 3e-4
 
 @dataclass(frozen=True)
 class RefinedHeights:
-    """Heights (H, W) with their 1-sigma uncertainty in the same unit, and the number of agreeing views."""
+    """Heights (H, W) with their 1-sigma uncertainty in the same unit, and the number of agreeing views.
+
+    `lateral_period_px` (H, W) is the period of the wave that they hold with half its height.
+    """
 
     height: FloatArray
     uncertainty: FloatArray
     n_views: NDArray[np.uint8]
+    lateral_period_px: ImageArray
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
     start = without_islands(start, views.baseline)
     known = np.isfinite(start)
     if not known.any():
-        return RefinedHeights(start, start, np.zeros(start.shape, np.uint8))
+        return RefinedHeights(start, start, np.zeros(start.shape, np.uint8), start.astype(np.float32))
     base = views.baseline
     given = _without_spikes(filled_from_nearest(start), _JUMP_PX / base)
     known |= _specks(~known) & ~_spans(given, 2 * _JUMP_PX / base)
@@ -136,6 +141,7 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
         np.where(found, height, np.nan),
         np.where(found, np.sqrt(variance), np.nan),
         np.where(found, n_views, 0).astype(np.uint8),
+        np.where(found, half_passing_period(averaging_width(stiffness, known, prior, table)), np.float32(np.nan)),
     )
 
 

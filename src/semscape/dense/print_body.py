@@ -9,6 +9,13 @@ from semscape.errors import NoAnswerError
 from semscape.types import HeightMap, SurfaceMesh
 
 
+def plate_side(height_map: HeightMap, max_vertices: int) -> float:
+    """Return the longest side of the body's plate in the map's unit: from the first to the last row or column taken."""
+    stride = grid_stride(height_map, max_vertices)
+    steps = (max(height_map.height_um.shape) - 1) // stride
+    return float(steps * stride * height_map.pixel_size_um)
+
+
 def print_body(height_map: HeightMap, *, base: float, max_vertices: int) -> SurfaceMesh:
     """Return a watertight body: the surface above, a flat plate below, and four walls.
 

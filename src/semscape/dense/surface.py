@@ -144,6 +144,7 @@ def _refined_map(series: TiltSeries, reconstruction: Reconstruction, frame: Fram
         pixel_size_um=pixel_size,
         world_from_grid=world_from_grid,
         length_unit=series.length_unit,
+        lateral_period_um=refined.lateral_period_px * np.float32(pixel_size),
     )
 
 

@@ -30,8 +30,8 @@ from semscape.types import FloatArray, HeightMap, ImageArray, Reason, Reconstruc
 _OVERLAP_PX = 80
 
 Mapper = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
-# Height, uncertainty, number of views, texture and reason.
-_Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, NDArray[np.uint8]]
+# Height, uncertainty, number of views, texture, reason and lateral period.
+_Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, NDArray[np.uint8], ImageArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +83,19 @@ def _stitched(
     pixel_size = grid_pixel_size_um(series, reconstruction)
     height, uncertainty = np.full(series.shape, np.nan), np.full(series.shape, np.nan)
     n_views, reason = np.zeros(series.shape, np.uint8), np.zeros(series.shape, np.uint8)
-    texture = np.full(series.shape, np.nan, np.float32)
+    texture, period = (np.full(series.shape, np.nan, np.float32) for _ in range(2))
     for place, core in zip(places, cores, strict=True):
-        height[place], uncertainty[place], n_views[place], texture[place], reason[place] = core
+        height[place], uncertainty[place], n_views[place], texture[place], reason[place], period[place] = core
     # What stands alone in a tile may be small against the whole field.
     _, parallax = common_parallax(camera_matrices(reconstruction.motion)[:, :, 2] * pixel_size)
     before = np.isfinite(height)
     height = without_islands(height / pixel_size, float(np.ptp(parallax))) * pixel_size
     dropped = before & np.isnan(height)
-    uncertainty[dropped], texture[dropped], n_views[dropped] = np.nan, np.nan, 0
+    uncertainty[dropped], texture[dropped], period[dropped], n_views[dropped] = np.nan, np.nan, np.nan, 0
     reason[dropped] = Reason.INCONSISTENT
     grid = _world_from_grid(series.shape, pixel_size)
-    return HeightMap(height, uncertainty, n_views, texture, pixel_size, grid, series.length_unit, reason)
+    planes = height, uncertainty, n_views, texture
+    return HeightMap(*planes, pixel_size, grid, series.length_unit, reason, lateral_period_um=period)
 
 
 def _edges(size: int, tile_px: int) -> list[int]:
@@ -169,6 +170,7 @@ def _core(options: DenseOptions, tile: _Tile) -> _Planes:
         found.n_views[core].copy(),
         found.texture[core].copy(),
         reason[core],
+        found.lateral_period_um[core].copy(),
     )
 
 

@@ -14,6 +14,7 @@ from semscape.evaluate.distances import surface_figures
 from semscape.evaluate.height_errors import HeightError, height_error, height_figures, true_units
 from semscape.evaluate.motion_errors import tilt_figures
 from semscape.evaluate.surface import Surface, make_surface
+from semscape.evaluate.transmission import transmission_figures
 from semscape.types import HeightMap, Motion, SimulationTruth, SurfaceMesh
 
 _MESH_VERTICES = 150_000
@@ -57,8 +58,9 @@ def evaluate(
     Returns
     -------
     Evaluation
-        `figures` holds `views` (see `tilt_figures`), `heights` (see `height_figures`), and under `surface` those of
-        `surface_figures` per alignment. All of the true surface that at least two views see is expected of a result.
+        `figures` holds `views` (see `tilt_figures`), `heights` (see `height_figures`), `lateral` (see
+        `transmission_figures`), and under `surface` those of `surface_figures` per alignment. All of the true surface
+        that at least two views see is expected of a result.
 
     Raises
     ------
@@ -95,6 +97,7 @@ def evaluate(
         "relief_um": units.relief_um,
         "views": tilt_figures(motion, reference, truth),
         "heights": height_figures(height_map, heights, units),
+        "lateral": transmission_figures(height_map, height_map.height_um - heights.error_um),
         "surface": {
             kind: surface_figures(
                 found, surface, kind, units, start=align_points(points, heights.true_um[compared], kind)

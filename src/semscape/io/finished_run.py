@@ -14,23 +14,18 @@ from semscape.io.surfaces import read_height_map
 from semscape.options import InputOptions, read_toml
 from semscape.types import HeightMap, Motion
 
-# The dense surface smooths each place as its data ask; no map's spectrum shows that as one window. This one has the
-# limit of 24 px that simulated runs have against their truth (22 to 26 px: fracture 512, fracture 256, pollen 256).
-_WINDOW_SIGMA_PX = 4.5
-
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
     """A height map with what its run says of it.
 
-    `height_scale_relative_sigma` is NaN, `window_sigma_px` 0, `ambiguity` and `verdict` are empty where nothing is
-    known: a height map that lies alone.
+    `height_scale_relative_sigma` is NaN, `ambiguity` and `verdict` are empty where nothing is known: a height map that
+    lies alone.
     """
 
     name: str
     height_map: HeightMap
     height_scale_relative_sigma: float = math.nan
-    window_sigma_px: float = 0.0
     ambiguity: str = ""
     verdict: str = ""
 
@@ -57,7 +52,6 @@ def read_finished_run(path: Path | str) -> FinishedRun:
         name=str(path),
         height_map=read_height_map(path / "height_map.npz"),
         height_scale_relative_sigma=_number(reconstruction.get("height_scale_relative_sigma")),
-        window_sigma_px=_WINDOW_SIGMA_PX,
         ambiguity=str(reconstruction.get("ambiguity", "")),
         verdict=str(report.get("verdict", "")),
     )

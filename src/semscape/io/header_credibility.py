@@ -45,7 +45,7 @@ def settle_metadata(
     if np.isfinite(given.pixel_size_um):
         settled = [_with(view, "pixel_size_um", given.pixel_size_um, "user") for view in settled]
     if any(view.source.get("pixel_size_um") not in {"user", "sidecar"} for view in settled):
-        _warn_of_copied_header(settled, warnings)
+        settled = _doubted_where_copied(settled, warnings)
         settled = _complete_pixel_sizes(names, settled, warnings)
     if np.isfinite(given.axis_deg):
         axis_rad = float(np.deg2rad(given.axis_deg))
@@ -127,19 +127,24 @@ def _vendor_raw(metadata: SemMetadata) -> dict[str, str]:
     return {key: value for key, value in metadata.raw.items() if not key.startswith(FILE_KEY_PREFIX)}
 
 
-def _warn_of_copied_header(metadata: Sequence[SemMetadata], warnings: list[str]) -> None:
+def _doubted_where_copied(metadata: list[SemMetadata], warnings: list[str]) -> list[SemMetadata]:
+    """Mark the files' pixel sizes as doubtful where all hold one header, with a warning."""
     blocks = [_vendor_raw(view) for view in metadata]
-    if len(blocks) < 2 or not blocks[0] or any(block != blocks[0] for block in blocks[1:]):
-        return
+    size = metadata[0].pixel_size_um
+    if len(blocks) < 2 or not blocks[0] or any(block != blocks[0] for block in blocks[1:]) or not np.isfinite(size):
+        return metadata
     software = metadata[0].raw.get(FILE_KEY_PREFIX + "software", "")
     by = f" (written by {software})" if software else ""
-    size = metadata[0].pixel_size_um
-    if not np.isfinite(size):
-        return
     warnings.append(
         f"all {len(blocks)} files hold the very same microscope header{by}: it was copied, so the pixel size "
         f"({size:.6g} um) is doubtful; give the true one if you know it"
     )
+    return [
+        replace(view, source={**view.source, "pixel_size_um": "doubtful"})
+        if view.source.get("pixel_size_um") == "file"
+        else view
+        for view in metadata
+    ]
 
 
 def _complete_pixel_sizes(names: Sequence[str], metadata: list[SemMetadata], warnings: list[str]) -> list[SemMetadata]:

@@ -24,11 +24,25 @@ _UNITS: dict[str, Mapping[str, float]] = {
     "stage_rotation_rad": RAD_PER_ANGLE,
     "scan_rotation_rad": RAD_PER_ANGLE,
 }
+_SIGN_IS_ASSUMED = "stage's tilt is assumed"
+_DOUBTS_OF_PIXEL_SIZE = (
+    "after resizing the pixel size",
+    "the pixel size follows from",
+    "which seldom hold a microscope's",
+)
 _MAX_PIXEL_SIZE_UM = 1000.0
 _POSITIVE = ("pixel_size_um", "working_distance_um", "accelerating_voltage_kv", "magnification")
 _MAX_BAR_SHARE = 0.4
 _ANISOTROPY_LIMIT = 1e-3
 _ON = {"on", "yes", "true", "1"}
+
+
+def is_moot(note: str, source: Mapping[str, FieldSource]) -> bool:
+    """Tell whether a note is about a value of the file that is not used, by where the fields come from in the end."""
+    about_tilt, about_size = _SIGN_IS_ASSUMED in note, any(words in note for words in _DOUBTS_OF_PIXEL_SIZE)
+    return (about_tilt and source.get("tilt_rad") != "file") or (
+        about_size and source.get("pixel_size_um") in ("user", "sidecar")
+    )
 
 
 class MetadataFields:
@@ -54,6 +68,7 @@ class MetadataFields:
         self.warnings: list[str] = []
         self._place = place
         self._texts = self.raw if values is None else values
+        self._doubtful: set[str] = set()
         self._values: dict[str, Any] = {}
         self._origin: dict[str, str] = {}
 
@@ -101,8 +116,8 @@ class MetadataFields:
         self.raw[STAGE_TILT_KEY] = f"{math.degrees(value) + 0.0:.9g}"
         if not sign_is_known and value != 0:
             self.warn(
-                f"the sign of this {self.vendor} stage's tilt is assumed (positive leans structures {leans} in the "
-                "image); if hills come out as pits, give the tilts with the other sign"
+                f"the sign of this {self.vendor} {_SIGN_IS_ASSUMED} (positive leans structures {leans} in the image); "
+                "if hills come out as pits, give the tilts with the other sign"
             )
 
     def take_square_pixel(self, width_um: float, height_um: float, key: str) -> None:
@@ -151,6 +166,7 @@ class MetadataFields:
     def warn_if_resized(self, stored_width: float, image_width: int) -> None:
         """Warn where the image is not as wide as the microscope stored it."""
         if stored_width > 0 and stored_width != image_width:
+            self._doubtful.add("pixel_size_um")
             self.warn(
                 f"the image is {image_width} px wide, but the microscope stored {stored_width:.0f} px: it was cropped "
                 "or resized, and after resizing the pixel size in its header is wrong; give the true one if so"
@@ -158,7 +174,9 @@ class MetadataFields:
 
     def metadata(self, model: str = "", source: FieldSource = "file") -> SemMetadata:
         """Return the fields as metadata whose every known field comes from `source`."""
-        sources: dict[str, FieldSource] = dict.fromkeys(self._values, source)
+        sources: dict[str, FieldSource] = {
+            name: "doubtful" if name in self._doubtful else source for name in self._values
+        }
         return SemMetadata(
             vendor=self.vendor, model=model, source=sources, origin=self._origin, raw=self.raw, **self._values
         )

@@ -89,6 +89,8 @@ def _parse_ome(tags: PlainTags) -> MetadataFields | None:
     values = xml_values(tags.description)
     raw = {key: value for key, value in values.items() if ".Pixels@" in key or ".Description" in key}
     fields = MetadataFields("unknown", raw, "OME description")
+    if not values:
+        fields.warn("the OME description is no XML that can be read; the pixel size is taken as unknown")
     sides = [_ome_side(fields, side) for side in "XY"]
     fields.take_square_pixel(sides[0][0], sides[1][0], sides[0][1])
     return fields

@@ -17,6 +17,7 @@ from semscape.io.bar_scale import scale_by_bar
 from semscape.io.burnt_in import find_burnt_in_text
 from semscape.io.header_credibility import settle_metadata
 from semscape.io.image_file import IMAGE_SUFFIXES
+from semscape.io.metadata_fields import is_moot
 from semscape.io.micrograph import read_micrograph_and_warnings
 from semscape.io.scan_settings import undo_scan_settings
 from semscape.options import InputOptions
@@ -74,6 +75,8 @@ def load_series(folder: str | Path, options: InputOptions = _DEFAULT_OPTIONS) ->
     metadata, metadata_warnings = settle_metadata(names, [view.metadata for view in views], given)
     views = [replace(view, metadata=settled) for view, settled in zip(views, metadata, strict=True)]
     views, scale_warnings = scale_by_bar(folder, views, given)
+    source = {view.name: view.metadata.source for view in views}
+    notes = [note for note in notes if not is_moot(note, source[note.partition(": ")[0]])]
     views, scan_warnings = undo_scan_settings(views)
     tilts = np.array([view.metadata.tilt_rad for view in views])
     if np.isfinite(tilts).all():
@@ -106,6 +109,7 @@ def load_image(path: str | Path, options: InputOptions = _DEFAULT_OPTIONS) -> Ti
     given = GivenAcquisition(pixel_size_um=options.pixel_size_um, scale_bar_um=options.scale_bar_um)
     metadata, metadata_warnings = settle_metadata([path.name], [view.metadata], given)
     views, scale_warnings = scale_by_bar(path.parent, [replace(view, metadata=metadata[0])], given)
+    notes = tuple(note for note in notes if not is_moot(note, views[0].metadata.source))
     views, scan_warnings = undo_scan_settings(views)
     return TiltSeries(tuple(views), (*_merge_notes(notes), *metadata_warnings, *scale_warnings, *scan_warnings))
 

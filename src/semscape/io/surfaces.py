@@ -153,7 +153,7 @@ def encode_height_map_npz(height_map: HeightMap) -> bytes:
 
     The keys carry the unit: height_um, uncertainty_um and pixel_size_um, or height_px, uncertainty_px and
     pixel_size_px for a series without a pixel size; further world_from_grid, n_views, reason, specimen, texture,
-    length_unit.
+    lateral_period_um or _px, length_unit.
     Heights and uncertainties are float32: seven digits, far below any uncertainty, at half the size.
     """
     unit = height_map.length_unit
@@ -166,6 +166,7 @@ def encode_height_map_npz(height_map: HeightMap) -> bytes:
         "reason": np.asarray(height_map.reason),
         "specimen": np.asarray(height_map.specimen),
         "texture": np.asarray(height_map.texture),
+        f"lateral_period_{unit}": np.asarray(height_map.lateral_period_um, dtype=np.float32),
         "length_unit": np.array(unit),
     }
     # np.savez also fixes the dates, but only by a default of the zip module; here it is said.
@@ -193,6 +194,7 @@ def read_height_map(path: Path | str) -> HeightMap:
     try:
         with np.load(path, allow_pickle=False) as archive:
             unit: LengthUnit = "um" if "height_um" in archive.files else "px"
+            later = {"reason": "reason", "specimen": "specimen", f"lateral_period_{unit}": "lateral_period_um"}
             height = archive[f"height_{unit}"].astype(np.float64)
             return HeightMap(
                 height_um=height,
@@ -202,7 +204,7 @@ def read_height_map(path: Path | str) -> HeightMap:
                 pixel_size_um=float(archive[f"pixel_size_{unit}"]),
                 world_from_grid=archive["world_from_grid"],
                 length_unit=unit,
-                **{name: archive[name] for name in ("reason", "specimen") if name in archive.files},
+                **{field: archive[name] for name, field in later.items() if name in archive.files},
             )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise BadInputError(f"{path} is not a height map of semscape (height_map.npz): {error}") from error

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 # More than any microscope writes; a longer text is no header.
 MAX_TEXT_BYTES = 8_000_000
 _MAX_XML_ITEMS = 100_000
+_FEW_SHIFTED = 3
 
 
 def decode_text(value: Any) -> str:
@@ -37,6 +38,21 @@ def decode_text(value: Any) -> str:
         return data.decode("utf-8-sig").rstrip("\0")
     except UnicodeDecodeError:
         return data.decode("cp1252", errors="replace").rstrip("\0")
+
+
+def is_broken(text: str) -> bool:
+    r"""Tell whether a decoded text holds what its encoding cannot: replaced bytes, or UTF-16 that lost a byte.
+
+    Behind a lost byte every letter of Western text has its byte in the upper half.
+
+    Examples
+    --------
+    >>> whole = "PixelSize=5 nm".encode("utf-16")
+    >>> is_broken(decode_text(whole)), is_broken(decode_text(whole[:9] + whole[10:]))
+    (False, True)
+    """
+    shifted = sum(1 for letter in text if not ord(letter) & 0xFF and 0x20 <= ord(letter) >> 8 < 0x7F)
+    return "\ufffd" in text or shifted > max(_FEW_SHIFTED, 0.02 * len(text))
 
 
 def ini_values(text: str) -> dict[str, str]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from semscape.io import hitachi, jeol, phenom, tescan, thermo_fisher, thermo_fisher_xml, zeiss
 from semscape.io.plain_tags import PlainTags, parse_plain_tags
-from semscape.io.vendor_text import MAX_TEXT_BYTES, decode_text
+from semscape.io.vendor_text import MAX_TEXT_BYTES, decode_text, is_broken
 from semscape.types import SemMetadata
 
 # In the order in which they are believed.
@@ -45,16 +45,19 @@ def read_vendor_metadata(
     """
     metadata, warnings = SemMetadata(), list[str]()
     for found, notes in _sources(path, vendor_tags, plain, image_shape):
+        if not (found.source.get("pixel_size_um") == "doubtful" and "pixel_size_um" in metadata.source):
+            warnings += notes  # no matter how doubtful, if it is not taken
         if found.raw or found.source:
             metadata = _completed(metadata, found)
-            warnings += notes
     return metadata, tuple(dict.fromkeys(warnings))
 
 
 def _sources(path: Path, tags: dict[int, bytes], plain: PlainTags, shape: tuple[int, int]) -> Iterator[_Parsed]:
     for tag in VENDOR_TAGS:
         if tag in tags:
-            yield _parse_tag(tag, tags[tag], shape)
+            found, notes = _parse_tag(tag, tags[tag], shape)
+            unread = () if found.raw else (f"tag {tag} holds nothing that can be read; nothing is taken from it",)
+            yield found, (*notes, *unread)
     for sidecar in _sidecars(path):
         yield _parse_sidecar(sidecar, shape)
     yield parse_plain_tags(plain)
@@ -90,13 +93,18 @@ def _parse_sidecar(path: Path, shape: tuple[int, int]) -> _Parsed:
             text = decode_text(file.read(MAX_TEXT_BYTES))
     except OSError as error:
         return SemMetadata(), (f"{path.name} cannot be read ({error.strerror or error}); nothing is taken from it",)
+    broken = is_broken(text)
+    damage = f"the {path.suffix} file beside the image is damaged: what cannot be read there is unknown"
     if hitachi.is_hitachi(text):
-        return hitachi.parse_hitachi(text, shape, path.name)
-    if jeol.is_jeol(text):
-        return jeol.parse_jeol(text, shape, path.name)
-    if path.suffix.lower() == ".hdr" and "PixelSizeX" in text:
-        return tescan.parse_tescan(text, shape, path.name)
-    return SemMetadata(), ()
+        found, notes = hitachi.parse_hitachi(text, shape, path.name)
+    elif jeol.is_jeol(text):
+        found, notes = jeol.parse_jeol(text, shape, path.name)
+    elif path.suffix.lower() == ".hdr" and "PixelSizeX" in text:
+        found, notes = tescan.parse_tescan(text, shape, path.name)
+    else:
+        why = "its text is not whole" if broken else "neither JEOL's nor Hitachi's nor TESCAN's"
+        return SemMetadata(), (f"nothing is taken from the {path.suffix} file beside the image: {why}",)
+    return found, (*([damage] if broken else []), *notes)
 
 
 def _completed(first: SemMetadata, second: SemMetadata) -> SemMetadata:

@@ -154,9 +154,20 @@ def surface_warnings(
             f"the L-filter of {options.l_filter_um:g} {unit} is longer than the field of {shorter:.4g} {unit}: it does "
             "little"
         )
-    if "sections" in value and value["sections"].value < _LENGTHS_PER_FIELD:
-        warnings.append(f"Rz comes from {value['sections'].value:.0f} section lengths; ISO 21920-3 asks for 5")
-    return tuple(warnings)
+    return (*warnings, *_profile_warnings(value, options.l_filter_um, unit))
+
+
+def _profile_warnings(value: dict[str, Figure], nesting_index: float, unit: LengthUnit) -> list[str]:
+    if "sections" not in value or value["sections"].value >= _LENGTHS_PER_FIELD:
+        return []
+    if value["sections"].value > 0:
+        return [f"Rz comes from {value['sections'].value:.0f} section lengths; ISO 21920-3 asks for 5"]
+    return [
+        f"no Ra, Rq, Rz and Rt: of a profile of {value['length'].value:.4g} {unit}, half the L-filter of "
+        f"{nesting_index:.4g} {unit} falls away at each end, and no section length is left that is known; draw a line "
+        f"of {2 * nesting_index:.4g} {unit} at least ({(1 + _LENGTHS_PER_FIELD) * nesting_index:.4g} for the five of "
+        "ISO 21920-3), or give a smaller --l-filter-um"
+    ]
 
 
 def _rounded_up(length: float) -> str:

@@ -10,34 +10,30 @@ matched.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
 from semscape.errors import BadInputError, NoAnswerError
 from semscape.metrology.areal import developed_area_ratio, developed_areas, height_parameters, root_mean_square_slope
-from semscape.metrology.filters import gaussian_smoother
 from semscape.metrology.findings import Figure, figures_of, surface_warnings
 from semscape.metrology.grid import Region
-from semscape.metrology.level import FormName, level, majority
 from semscape.metrology.material_ratio import material_ratio_parameters
 from semscape.metrology.outliers import find_outliers
 from semscape.metrology.planes import angle_between, fit_plane
+from semscape.metrology.prepare import prepared_surfaces
 from semscape.metrology.profile import Profile, extract_profile, profile_parameters
+from semscape.metrology.propagate import Errors, step_estimates, step_of_profile, surface_estimates
 from semscape.metrology.register import Comparison, compare
 from semscape.metrology.request import MeasureRequest
 from semscape.metrology.resolution import LateralResolution, lateral_resolution
 from semscape.metrology.spatial import spatial_parameters
-from semscape.metrology.step import Step, step_along_profile, step_between_regions
-from semscape.metrology.uncertainty import Estimate, monte_carlo
+from semscape.metrology.step import Step, step_between_regions
 from semscape.metrology.volume import distance, volumes
-from semscape.options import MeasureOptions
 from semscape.types import FloatArray, HeightMap
 
-_MONTE_CARLO_PIXELS = 100_000
 _SAME_PIXEL_SIZE = 1e-3
+_ROUNDING = 1e-6  # of a px: two maps that are the same differ by that
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +56,6 @@ def measure(
     request: MeasureRequest,
     *,
     height_scale_relative_sigma: float = math.nan,
-    window_sigma_px: float = 0.0,
     rng: np.random.Generator,
 ) -> Measurement:
     """Measure a height map.
@@ -72,8 +67,6 @@ def measure(
         What to measure, and the options.
     height_scale_relative_sigma : float
         Of the reconstruction; NaN (unknown) leaves every sigma unknown.
-    window_sigma_px : float
-        Window of the dense matching, where it is known.
     rng : numpy.random.Generator
         For the Monte Carlo.
 
@@ -83,8 +76,11 @@ def measure(
         If too few heights are known where something is to be measured.
     """
     options, pixel = request.options, height_map.pixel_size_um
-    resolution = lateral_resolution(height_map.height_um, pixel, window_sigma_px)
-    matched, uncertainty, origin = _cropped(height_map, request.region)
+    window = _window(height_map, request.region)
+    matched, uncertainty = height_map.height_um[window], height_map.uncertainty_um[window]
+    origin = int(window[1].start or 0), int(window[0].start or 0)
+    stated = height_map.lateral_period_um[window][np.isfinite(matched)]
+    resolution = lateral_resolution(height_map.height_um, pixel, stated)
     request = _shifted(request, origin)
     n_outliers = 0
     if not math.isnan(options.outlier_sigmas):
@@ -92,9 +88,9 @@ def measure(
         n_outliers = int(outliers.sum())
         matched = np.where(outliers, np.nan, matched)
     smooth, rough = prepared_surfaces(matched, pixel, options)(matched)
-    estimates = _with_uncertainty(
-        matched, uncertainty, pixel, request, resolution, height_scale_relative_sigma, rng=rng
-    )
+    errors = Errors(uncertainty, resolution.sigma_px, height_scale_relative_sigma)
+    estimates = surface_estimates(smooth, errors, pixel, options, rng=rng)
+    estimates |= step_estimates(matched, errors, pixel, request, rng=rng)
     unit = height_map.length_unit
     developed, projected = developed_areas(smooth, pixel)
     contents = volumes(smooth, pixel, options.volume_level_um)
@@ -133,48 +129,6 @@ def measure(
     return Measurement(figures, warnings, resolution, rough, origin, profile)
 
 
-def prepared_surfaces(
-    height: FloatArray, spacing: float, options: MeasureOptions, *, for_draws: bool = False
-) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
-    """Return a function from heights, known where `height` is, to the S-F and the S-L surface.
-
-    The filters' weights are computed once. For the draws of a Monte Carlo so is the majority that a robust fit
-    levels on, for it is the same in all of them, and the filters compute in single precision.
-    """
-    form = cast("FormName", options.level)
-    known = np.isfinite(height)
-    robust, region = options.robust and form != "none", None
-    if robust and for_draws:
-        robust, region = False, majority(level(height, spacing, form, robust=True).height)
-    if form == "sphere":
-        known = np.isfinite(level(height, spacing, form, robust=options.robust).height)
-    s_filter, l_filter = (
-        None if math.isnan(index) else gaussian_smoother(known, spacing, index, single=for_draws)
-        for index in (options.s_filter_um, options.l_filter_um)
-    )
-
-    def prepare(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        smooth = np.where(known, level(heights, spacing, form, robust=robust, region=region).height, np.nan)
-        if s_filter is not None:
-            # A draw's sphere may end a little earlier; what it does not reach must not become a hole of the filter.
-            smooth = s_filter(np.where(known, np.nan_to_num(smooth), np.nan))
-            if form not in ("none", "sphere"):
-                smooth = level(smooth, spacing, form, robust=robust, region=region).height
-        if l_filter is None:
-            return smooth, smooth
-        return smooth, smooth - l_filter(np.where(known, np.nan_to_num(smooth), np.nan))
-
-    return prepare
-
-
-def step_of_profile(matched: FloatArray, spacing: float, request: MeasureRequest) -> Step:
-    """Return the step at the request's edges along its profile, of the heights as they were matched."""
-    if request.profile is None:
-        raise ValueError("the edges of a step belong to a profile, and the request has none")
-    line = np.array(request.profile).reshape(2, 2)
-    return step_along_profile(extract_profile(matched, spacing, line[0], line[1]), request.edges)
-
-
 def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Figure, ...], Comparison]:
     """Register an earlier map of the same place to this one and measure what was lost and gained since.
 
@@ -196,7 +150,7 @@ def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Fig
         )
     comparison = compare(height_map.height_um, earlier.height_um, pixel)
     change = -comparison.difference
-    limit = 3 * comparison.residual_sigma
+    limit = 3 * comparison.residual_sigma + _ROUNDING * pixel
     lost, gained = np.where(change < -limit, -change, 0.0), np.where(change > limit, change, 0.0)
     matrix = comparison.first_from_second
     rows, cols = height_map.height_um.shape
@@ -213,68 +167,19 @@ def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Fig
     return figures_of("change", values, unit), replace(comparison, difference=change)
 
 
-def _with_uncertainty(
-    matched: FloatArray,
-    uncertainty: FloatArray,
-    pixel: float,
-    request: MeasureRequest,
-    resolution: LateralResolution,
-    scale_sigma: float,
-    *,
-    rng: np.random.Generator,
-) -> dict[str, Estimate]:
-    """Return Sa, Sq, volumes and steps with their uncertainties.
-
-    Of a large map every k-th pixel is drawn, no farther apart than twice the noise's sigma: a sum over such samples has
-    the variance of the sum over all, to 1e-4, for the noise between them follows from theirs.
-    """
-    options = request.options
-    stride = int(np.ceil(np.sqrt(matched.size / _MONTE_CARLO_PIXELS)))
-    stride = max(1, min(stride, int(2 * resolution.sigma_px)))
-    thinned, sigma, step_px = matched[::stride, ::stride], uncertainty[::stride, ::stride], pixel * stride
-    if np.isfinite(thinned).sum() < 10:
-        raise NoAnswerError(f"{np.isfinite(matched).sum()} heights are known in the region; choose a larger one")
-    prepare = prepared_surfaces(thinned, step_px, options, for_draws=True)
-    regions = None if request.step is None else [r.scaled(1 / stride).mask(thinned.shape) for r in request.step]
-    line = None if request.profile is None else tuple(place / stride for place in request.profile)
-    along = replace(request, profile=line)  # type: ignore[arg-type]
-
-    def figures(heights: FloatArray) -> dict[str, float]:
-        smooth, rough = prepare(heights)
-        parameters = height_parameters(rough)
-        contents = volumes(smooth, step_px, options.volume_level_um)
-        found = {"height/Sa": parameters["Sa"], "height/Sq": parameters["Sq"]}
-        found |= {"area and volume/volume above": contents.above, "area and volume/volume below": contents.below}
-        if regions is not None:
-            found["step/height"] = step_between_regions(heights, step_px, *regions).height
-        if request.edges:
-            found["step along the profile/height"] = step_of_profile(heights, step_px, along).height
-        return found
-
-    return monte_carlo(
-        thinned,
-        sigma,
-        figures,
-        correlation_sigma_px=resolution.sigma_px / stride,
-        scale_relative_sigma=scale_sigma,
-        draws=options.draws,
-        rng=rng,
-    )
-
-
-def _cropped(height_map: HeightMap, region: Region | None) -> tuple[FloatArray, FloatArray, tuple[int, int]]:
-    height, uncertainty = height_map.height_um, height_map.uncertainty_um
+def _window(height_map: HeightMap, region: Region | None) -> tuple[slice, slice]:
+    """Return the rows and columns of the map that are measured."""
     if region is None:
-        return height, uncertainty, (0, 0)
-    inside = region.mask((height.shape[0], height.shape[1]))
+        return slice(None), slice(None)
+    height, width = height_map.height_um.shape
+    inside = region.mask((height, width))
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if min(len(rows), len(cols)) < 2:
         raise NoAnswerError(
-            f"the region covers {len(cols)} x {len(rows)} px of the map, which is {height.shape[1]} x "
-            f"{height.shape[0]} px; choose a larger one"
+            f"the region covers {len(cols)} x {len(rows)} px of the map, which is {width} x {height} px; choose a "
+            "larger one"
         )
-    window = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-    return height[window], uncertainty[window], (int(cols[0]), int(rows[0]))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
 def _shifted(request: MeasureRequest, origin: tuple[int, int]) -> MeasureRequest:

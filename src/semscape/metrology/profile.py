@@ -100,7 +100,7 @@ def profile_parameters(profile: Profile, nesting_index: float | None = None) -> 
         the same of the R-profile, without half a Nic at each end, where its mean line is one-sided. `Rz` = mean over
         the sections of highest less lowest, where a section counts if half of it is known. ISO 21920-3 wants five
         sections; `sections` says how many there are, up to five, from the middle of the profile. Without a single one
-        Rz is NaN, and all of R where the profile is no longer than Nic.
+        (the profile is shorter than two Nic) all of R is NaN.
 
     References
     ----------
@@ -122,13 +122,12 @@ def profile_parameters(profile: Profile, nesting_index: float | None = None) -> 
         return found
     travel = round(nesting_index / 2 / profile.step)
     rough = (primary - profile_s_filter(primary, profile.step, nesting_index))[travel : len(primary) - travel]
-    z = rough[np.isfinite(rough)]
-    if not len(z):
-        return found | dict.fromkeys(("Ra", "Rq", "Rz", "Rt"), np.nan) | {"sections": 0.0}
-    found |= {"Ra": float(np.abs(z).mean()), "Rq": float(np.sqrt((z * z).mean()))}
     heights = _section_heights(rough, profile.step, nesting_index)
-    found |= {"Rz": float(np.mean(heights)) if heights else np.nan, "Rt": float(np.ptp(z))}
-    return found | {"sections": float(len(heights))}
+    if not heights:
+        return found | dict.fromkeys(("Ra", "Rq", "Rz", "Rt"), np.nan) | {"sections": 0.0}
+    z = rough[np.isfinite(rough)]
+    found |= {"Ra": float(np.abs(z).mean()), "Rq": float(np.sqrt((z * z).mean()))}
+    return found | {"Rz": float(np.mean(heights)), "Rt": float(np.ptp(z)), "sections": float(len(heights))}
 
 
 def _without_line(profile: Profile) -> FloatArray:

@@ -1,17 +1,19 @@
-"""The lateral resolution that the matching really reached, read from the height map's own spectrum.
+"""The lateral resolution that the matching really reached: as the run states it, else from the map's own spectrum.
 
-A height from matched images is a mean over the window of the matching. The window smooths relief and noise alike:
-what the map's spectrum P(f) shows is some smooth spectrum times the window's, and a Gaussian window of the width sigma
-has exp(-4 pi² sigma² f²), which falls far faster than any surface or noise does. So
+The dense stage smooths each place as far as its noise and its relief ask for, and says there which wave passes with
+half its height: the lateral period limit (ISO 25178-600). The median over what is measured stands for the map.
 
-    ln P(f) = a - p ln f - 4 pi² sigma² f²,   p >= 0
-
-is fitted over the wavelengths at which the fall stands out, and sigma is the window that was really at work. A wave
-passes it with exp(-2 pi² sigma² / l²) of its height; half passes at the lateral period limit (ISO 25178-600)
+A map that says nothing is seen through one Gaussian window of the width sigma, which a wave passes with
+exp(-2 pi² sigma² / l²) of its height, half of it at
 
     D_LIM = pi sigma sqrt(2 / ln 2) = 5.34 sigma.
 
-Nothing finer than two pixels is ever resolved.
+Such a window smooths relief and noise alike: what the map's spectrum P(f) shows is some smooth spectrum times
+exp(-4 pi² sigma² f²), which falls far faster than any surface or noise does. So
+
+    ln P(f) = a - p ln f - 4 pi² sigma² f²,   p >= 0
+
+is fitted over the wavelengths at which the fall stands out. Nothing finer than two pixels is ever resolved.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from semscape.metrology.grid import Spacing, spacing_xy
-from semscape.types import BoolArray, FloatArray
+from semscape.types import BoolArray, FloatArray, ImageArray
 
 PERIOD_PER_SIGMA = float(np.pi * np.sqrt(2 / np.log(2)))
 """Wavelength that a Gaussian window of sigma 1 passes with half its height."""
@@ -44,17 +46,21 @@ _SIGNIFICANT = 4.0
 class LateralResolution:
     """Lateral period limit in px and in the map's unit, and the sigma in px of the Gaussian window that has it.
 
-    `source` says what decided: "spectrum", "window" (the run's option, where it is wider) or "pixel".
+    `source` says what decided: "matching" (the run states it), "spectrum" or "pixel". `range_px` are the limits that
+    the finest and the coarsest tenth of the places have; NaN where the run states none.
     """
 
     period_px: float
     period: float
     sigma_px: float
     source: str
+    range_px: tuple[float, float] = (np.nan, np.nan)
 
 
-def lateral_resolution(height: FloatArray, spacing: Spacing, window_sigma_px: float = 0.0) -> LateralResolution:
-    """Estimate the lateral period limit of a height map.
+def lateral_resolution(
+    height: FloatArray, spacing: Spacing, stated: FloatArray | ImageArray | None = None
+) -> LateralResolution:
+    """Return the lateral period limit of a height map.
 
     Parameters
     ----------
@@ -62,25 +68,35 @@ def lateral_resolution(height: FloatArray, spacing: Spacing, window_sigma_px: fl
         Heights as they were matched, before any filter; NaN = unknown.
     spacing : float or (dx, dy)
         Grid spacing; the wider step counts where they differ.
-    window_sigma_px : float
-        Window that the matching was told to use at least, 0 where nothing is known: the answer is never finer.
+    stated : (N,) or (h, w) float array, optional
+        The limits that the matching states, in the unit of the spacing, for the places that are measured; NaN =
+        unknown. Without any the map's spectrum is asked.
 
     Notes
     -----
-    Depth jumps are left out: there the dense stage keeps unsmoothed heights. A surface that ends as fast as a
-    Gaussian by itself (a very smooth one without noise) looks like one seen through a wide window, so the answer errs
-    to the coarse side.
+    In the spectrum depth jumps are left out. A surface that ends as fast as a Gaussian by itself (a very smooth one
+    without noise) looks there like one seen through a wide window, so that answer errs to the coarse side.
 
     References
     ----------
     ISO 25178-600:2019, 3.1.30; Guinier's fit of a Gaussian fall is the same idea for scattering.
+
+    Examples
+    --------
+    >>> found = lateral_resolution(np.zeros((9, 9)), 0.1, np.full((9, 9), 1.6))
+    >>> round(found.period_px, 3), found.period, round(found.sigma_px, 2), found.source
+    (16.0, 1.6, 3.0, 'matching')
     """
     spacing_px = max(spacing_xy(spacing))
-    measured = window_in_spectrum(height)
-    sigma = max(measured, window_sigma_px)
+    known = np.array([]) if stated is None else stated[np.isfinite(stated) & (stated > 0)].astype(np.float64)
+    if len(known):
+        finest, middle, coarsest = np.percentile(known, [10, 50, 90])
+        period_px = float(middle) / spacing_px
+        span = float(finest) / spacing_px, float(coarsest) / spacing_px
+        return LateralResolution(period_px, float(middle), period_px / PERIOD_PER_SIGMA, "matching", span)
+    sigma = window_in_spectrum(height)
     period_px = max(PERIOD_PER_SIGMA * sigma, 2.0)
-    source = "pixel" if period_px == 2.0 else "spectrum" if measured >= window_sigma_px else "window"
-    return LateralResolution(period_px, period_px * spacing_px, sigma, source)
+    return LateralResolution(period_px, period_px * spacing_px, sigma, "spectrum" if period_px > 2.0 else "pixel")
 
 
 def window_in_spectrum(height: FloatArray) -> float:

@@ -93,7 +93,7 @@ def spatial_parameters(height: FloatArray, spacing: Spacing, threshold: float = 
             mode="nearest",
         )
         below = np.flatnonzero(along < threshold)
-        if len(below) and np.isfinite(along[: below[0]]).all():
+        if len(below) and below[0] > 0 and np.isfinite(along[: below[0]]).all():  # at lag 0 it is 1, or all is flat
             j = below[0]
             fallen[i] = radii[j - 1] + step * (along[j - 1] - threshold) / (along[j - 1] - along[j])
     if np.isnan(fallen).all():

@@ -1,20 +1,21 @@
 """How the uncertainty of the heights becomes the uncertainty of a parameter: Monte Carlo (JCGM 101).
 
-Two things are drawn, many times:
+Noise is drawn, many times: white noise smoothed by a Gaussian of the width sigma_c (px), brought back to unit variance
+and multiplied by each height's own uncertainty. Two heights d px apart then share exp(-d² / (4 sigma_c²)) of their
+errors. Matching over a window of that sigma leaves just such errors.
 
-- noise: white noise smoothed by a Gaussian of the width sigma_c (px), brought back to unit variance and multiplied by
-  each height's own uncertainty. Two heights d px apart then share exp(-d² / (4 sigma_c²)) of their errors. Matching
-  over a window of that sigma leaves just such errors;
-- the height scale: one factor 1 + s n for the whole map, n standard normal, s its relative sigma.
+The height scale, one factor 1 + s for the whole map, s its relative sigma, needs no draws: figures change with it in
+proportion, and by how much is seen on the map times 1 + s.
 
 Each draw is measured like the map. The mean of the draws lies above the map's own value by what noise adds: as the map
 already holds such noise once, its value exceeds the surface's by about as much (`noise_bias`). That is told and not
-taken off, so it counts in sigma, the root mean square difference of the draws from the map's value. Errors that are
+taken off, so it counts in sigma: scatter of the draws, bias and change by the scale, added in squares. Errors that are
 smooth over the whole field, apart from the scale, are not drawn.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -43,6 +44,7 @@ def monte_carlo(
     correlation_sigma_px: float,
     scale_relative_sigma: float,
     draws: int,
+    random_share: float = 1.0,
     rng: np.random.Generator,
 ) -> dict[str, Estimate]:
     """Measure a map, and its noisy copies, and return each figure with its uncertainty.
@@ -61,6 +63,8 @@ def monte_carlo(
         s; NaN (unknown) makes the sigmas unknown, too.
     draws : int
         Number of draws, at least two; sigmas scatter by 1 / sqrt(2 draws).
+    random_share : float
+        By which the scatter of the draws is multiplied: below 1 where the map stands for one of more pixels.
     rng : numpy.random.Generator
         Where the draws come from.
 
@@ -85,21 +89,23 @@ def monte_carlo(
         return {name: Estimate(value) for name, value in base.items()}
     samples: dict[str, list[float]] = {name: [] for name in base}
     for _ in range(draws):
-        factor = 1 + scale_relative_sigma * rng.standard_normal()
-        noisy = (height + sigma * correlated_noise(height.shape, correlation_sigma_px, rng=rng)) * factor
-        for name, value in measure(noisy).items():
+        for name, value in measure(
+            height + sigma * correlated_noise(height.shape, correlation_sigma_px, rng=rng)
+        ).items():
             samples[name].append(value)
+    scaled = measure(height * (1 + scale_relative_sigma)) if scale_relative_sigma else base
     found = {}
     for name, value in base.items():
         bias = float(np.mean(samples[name])) - value
-        found[name] = Estimate(value, float(np.hypot(np.std(samples[name], ddof=1), bias)), bias)
+        scatter = float(np.std(samples[name], ddof=1)) * random_share
+        found[name] = Estimate(value, math.hypot(scatter, bias, scaled[name] - value), bias)
     return found
 
 
 def correlated_noise(shape: tuple[int, int], sigma_px: float, *, rng: np.random.Generator) -> FloatArray:
     """Return noise (H, W) of unit variance and autocorrelation exp(-d² / (4 sigma²)); white for sigma 0."""
     if sigma_px < 0.1:
-        return rng.standard_normal(shape)
+        return rng.standard_normal(shape, dtype=np.float32).astype(np.float64)
     reach = int(np.ceil(4 * sigma_px))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
     kernel = (kernel / np.sqrt((kernel**2).sum())).astype(np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.dense.mesh import height_map_mesh, with_picture
-from semscape.dense.print_body import print_body
+from semscape.dense.print_body import plate_side, print_body
 from semscape.errors import BadInputError, NoAnswerError
 from semscape.io.digital_surf import encode_sur
 from semscape.io.finished_run import read_finished_run
@@ -35,6 +36,8 @@ from semscape.io.surfaces import (
 from semscape.options import ConvertOptions, MeshOptions
 from semscape.report.stereo_picture import anaglyph_png, rectified_pair, side_by_side_png
 from semscape.types import FloatArray, HeightMap, SurfaceMesh
+
+_log = logging.getLogger(__name__)
 
 _HEAD_BYTES = 65536
 _BLACK = np.zeros(3, np.uint8)
@@ -80,7 +83,7 @@ def _print(source: _Source) -> dict[str, bytes]:
     """Return the printable body as STL in mm."""
     options, height_map = source.options, source.height_map
     if np.isnan(options.print_scale):
-        mm_per_unit = options.print_size_mm / (max(height_map.height_um.shape) * height_map.pixel_size_um)
+        mm_per_unit = options.print_size_mm / plate_side(height_map, options.max_vertices)
     elif height_map.length_unit == "px":
         raise BadInputError(f"the run has no pixel size, so --print-scale means nothing; give --print-size-mm, or "
                             f"{NEEDS_PIXEL_SIZE}")  # fmt: skip
@@ -134,6 +137,18 @@ FORMATS: dict[str, Callable[[_Source], dict[str, bytes]]] = {
     "anaglyph": _anaglyph,
     "side-by-side": _side_by_side,
 }
+_MESHES = ("ply", "stl", "obj", "glb", "off", "3mf")
+_COLOURED = ("ply", "obj", "glb")
+_METRES = ("x3p", "sdf", "gwy", "gsf")
+# Fields of the options, their flags, and the formats that heed them.
+_HEEDED = {
+    "unit": ("--unit", _MESHES),
+    "color": ("--color", _COLOURED),
+    "max_vertices": ("--max-vertices", (*_MESHES, "print")),
+    "print_scale": ("--print-scale", ("print",)),
+    "print_size_mm": ("--print-size-mm", ("print",)),
+    "base_mm": ("--base-mm", ("print",)),
+}
 _SUFFIXES = {".print": ".stl", ".anaglyph": ".png", ".side-by-side": ".png"}
 
 
@@ -169,12 +184,15 @@ def convert(
     Raises
     ------
     BadInputError
-        For an unknown format, a unit that a format cannot hold, a run without the pixel size that a format needs, an
-        output that cannot be written, or one that is not an earlier output of semscape.
+        For an unknown format, an option that none of the formats heeds, a unit that a format cannot hold, a run without
+        the pixel size that a format needs, an output that cannot be written, or one that is not an earlier output of
+        semscape.
     """
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
         raise BadInputError(f"--to {','.join(unknown) or '(empty)'} is not known; there are: {', '.join(FORMATS)}")
+    options = options or ConvertOptions()
+    notes = _notes(formats, options)
     path = Path(run)
     output = (path.parent if path.is_file() else path) / "converted" if output is None else Path(output)
     folder, name = _target(list(dict.fromkeys(formats)), output)
@@ -182,9 +200,7 @@ def convert(
     archive = path if path.is_file() else path / "height_map.npz"
     # The time of the heights, not of the conversion: the same run gives the same bytes.
     created = datetime.fromtimestamp(int(archive.stat().st_mtime), UTC)
-    source = _Source(
-        path, name or _name(path), height_map, created, options or ConvertOptions(), Path(images) if images else None
-    )
+    source = _Source(path, name or _name(path), height_map, created, options, Path(images) if images else None)
     files: dict[str, bytes] = {}
     for key in dict.fromkeys(formats):
         files |= FORMATS[key](source)
@@ -198,7 +214,38 @@ def convert(
     for file in files:
         _require_own(folder / file)
     put_files(files, folder)
+    for note in notes:
+        _log.warning(note)
     return tuple(folder / file for file in files)
+
+
+def _notes(formats: Sequence[str], options: ConvertOptions) -> list[str]:
+    """Return what the formats do not hold of what was asked for; refuse what none of them heeds."""
+    for field, (flag, heeding) in _HEEDED.items():
+        value, default = getattr(options, field), getattr(ConvertOptions(), field)
+        if value != default and value == value and not set(formats) & set(heeding):
+            raise BadInputError(
+                f"{flag} {value} changes nothing for {', '.join(formats)}{_held(formats) if field == 'unit' else ''}; "
+                f"leave it out, or ask for {' or '.join(heeding)}"
+            )
+    notes = []
+    others = [name for name in dict.fromkeys(formats) if name not in _MESHES]
+    if options.unit and others:
+        notes.append(f"--unit {options.unit} is that of the meshes alone{_held(others)}")
+    if bare := [name for name in dict.fromkeys(formats) if name in _MESHES and name not in _COLOURED]:
+        what = "the micrograph is" if options.color == "micrograph" else f"--color {options.color} is"
+        notes.append(f"{what} left out of {', '.join(bare)}: no colours are written there; ply, obj and glb have them")
+    return notes
+
+
+def _held(formats: Sequence[str]) -> str:
+    """Say in which unit the formats that are no meshes hold their lengths."""
+    metres = [name for name in formats if name in _METRES]
+    own = [name for name in formats if name not in (*_METRES, *_MESHES, "print", "anaglyph", "side-by-side")]
+    parts = [f"{', '.join(metres)} in metres, as the format has it"] if metres else []
+    parts += [f"{', '.join(own)} in um"] if own else []
+    parts += ["the print is in mm"] if "print" in formats else []
+    return f" ({'; '.join(parts)})" if parts else ""
 
 
 def _name(run: Path) -> str:

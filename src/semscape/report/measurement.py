@@ -54,7 +54,6 @@ def measure_run(run: FinishedRun, request: MeasureRequest, since: FinishedRun | 
         run.height_map,
         request,
         height_scale_relative_sigma=run.height_scale_relative_sigma,
-        window_sigma_px=run.window_sigma_px,
         rng=np.random.default_rng(request.options.seed),
     )
     figures, warnings = measurement.figures, measurement.warnings
@@ -77,15 +76,16 @@ def measure_run(run: FinishedRun, request: MeasureRequest, since: FinishedRun | 
 def measured_to_dict(measured: MeasuredRun) -> dict[str, Any]:
     """Return a measurement as plain values: what it is of, how it was made, figures with units, warnings."""
     run, resolution = measured.run, measured.measurement.resolution
-    unit = run.height_map.length_unit
+    unit, pixel_size = run.height_map.length_unit, run.height_map.pixel_size_um
     places = {name: place for name, place in asdict(measured.request).items() if name != "options" and place}
     return {
         "run": run.name,
         "since": measured.since or None,
         "length_unit": unit,
-        f"pixel_size_{unit}": run.height_map.pixel_size_um,
+        f"pixel_size_{unit}": pixel_size,
         "height_scale_relative_sigma": run.height_scale_relative_sigma,
         f"lateral_period_limit_{unit}": resolution.period,
+        f"lateral_period_limit_10_and_90_percent_{unit}": [pixel_size * px for px in resolution.range_px],
         "lateral_period_limit_from": resolution.source,
         "noise_correlation_sigma_px": resolution.sigma_px,
         "options": asdict(measured.request.options),
@@ -133,7 +133,9 @@ def print_measurement(measured: MeasuredRun, console: Console) -> None:
     ]
     form = "no levelling" if options.level == "none" else f"{options.level} removed"
     print_line(", ".join([form + (" (robust)" if options.robust else ""), *filters]), console)
-    seen = {"spectrum": "from the map's spectrum", "window": "from the window of the matching", "pixel": "two pixels"}
+    low, high = (run.height_map.pixel_size_um * px for px in resolution.range_px)
+    seen = {"spectrum": "from the map's spectrum", "pixel": "two pixels"}
+    seen["matching"] = f"of the matching; {low:.4g} to {high:.4g} {unit} from place to place"
     print_line(f"lateral resolution (half height): {resolution.period:.4g} {unit}, {seen[resolution.source]}", console)
     table = Table(box=box.SIMPLE_HEAD if console.is_terminal else box.ASCII2, pad_edge=False)
     for title, justify in (

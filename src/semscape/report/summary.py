@@ -108,6 +108,7 @@ def _metrics(
         "completeness_specimen": float(known[height_map.specimen].mean()) if height_map.specimen.any() else np.nan,
         "unknown": reason_shares(height_map),
         "median_uncertainty": float(np.median(height_map.uncertainty_um[known])) if known.any() else np.nan,
+        "median_lateral_period": float(np.median(height_map.lateral_period_um[known])) if known.any() else np.nan,
         "pixel_size": height_map.pixel_size_um,
     }
 

@@ -27,6 +27,7 @@ _LABELS = {
     "height_scale_relative_sigma": "Height scale (1 σ)",
     "height_scale_relative_sigma_95": "Height scale (95 %)",
     "median_uncertainty": "Median height uncertainty",
+    "median_lateral_period": "Lateral resolution (half height)",
     "de_generations": "DE generations",
     "de_cost": "DE cost",
     "threshold_px": "Threshold",
@@ -49,7 +50,10 @@ _SUFFIXES = {
     "_percent": " %",
 }
 _FRACTIONS = ("completeness", "relative_sigma", "fraction", "ratio", "confidence")
-_LENGTHS = ("height_range", "median_uncertainty", "uncertainty", "relief", "pixel_size", "height_min", "height_max")
+_LENGTHS = (
+    *("height_range", "median_uncertainty", "median_lateral_period", "uncertainty", "relief", "pixel_size"),
+    *("height_min", "height_max"),
+)
 
 
 def label(key: str) -> str:
