@@ -15,13 +15,14 @@ from PIL import Image
 
 from semscape.app.workspace import UnknownRunError
 from semscape.batch.folder_run import reconstruct_folder
+from semscape.errors import BadInputError
 from semscape.io.finished_run import FinishedRun, read_finished_run, read_finished_views
 from semscape.io.inspect import describe_series
 from semscape.io.micrograph import read_micrograph
 from semscape.io.run_folder import plain_json, put_files
 from semscape.io.series import load_series
 from semscape.io.value_file import decode_value
-from semscape.metrology.grid import Region
+from semscape.metrology.grid import Polygon, Region, region_of
 from semscape.metrology.request import MeasureRequest
 from semscape.options import ConvertOptions, MeasureOptions, Options
 from semscape.report.conversion import convert
@@ -130,7 +131,8 @@ def measured(run: Path, settings: Mapping[str, Any], places: Mapping[str, Any]) 
     settings : mapping
         Of `MeasureOptions`.
     places : mapping
-        `region`, `profile`, `distance` as (x0, y0, x1, y1) px, `step` and `angle` as two of them, `edges`.
+        `profile`, `distance` as (x0, y0, x1, y1) px, `region` likewise or with all corners of a polygon, `step` and
+        `angle` as two of these, `edges`.
 
     Raises
     ------
@@ -139,7 +141,7 @@ def measured(run: Path, settings: Mapping[str, Any], places: Mapping[str, Any]) 
     """
     request = MeasureRequest(
         options=MeasureOptions(**settings),
-        region=_region(places.get("region")),
+        region=_region(places["region"]) if places.get("region") else None,
         profile=_line(places.get("profile")),
         edges=tuple(places.get("edges") or ()),
         step=_two_regions(places.get("step")),
@@ -196,15 +198,12 @@ def _line(place: Sequence[float] | None) -> tuple[float, float, float, float] | 
     return x0, y0, x1, y1
 
 
-def _region(place: Sequence[float] | None) -> Region | None:
-    line = _line(place)
-    return None if line is None else Region(*line)
+def _region(places: Sequence[float]) -> Region | Polygon:
+    try:
+        return region_of([float(value) for value in places])
+    except ValueError as error:
+        raise BadInputError(str(error)) from error
 
 
-def _two_regions(places: Sequence[Sequence[float]] | None) -> tuple[Region, Region] | None:
-    if places is None:
-        return None
-    first, second = (_line(place) for place in places)
-    if first is None or second is None:
-        return None
-    return Region(*first), Region(*second)
+def _two_regions(places: Sequence[Sequence[float]] | None) -> tuple[Region | Polygon, Region | Polygon] | None:
+    return None if places is None else (_region(places[0]), _region(places[1]))

@@ -20,7 +20,7 @@ from semscape.errors import BadInputError, NoAnswerError
 from semscape.metrology.areal import developed_area_ratio, developed_areas, height_parameters, root_mean_square_slope
 from semscape.metrology.filters import gaussian_smoother
 from semscape.metrology.findings import Figure, figures_of, surface_warnings
-from semscape.metrology.grid import Region
+from semscape.metrology.grid import Polygon, Region
 from semscape.metrology.level import FormName, level, majority
 from semscape.metrology.material_ratio import material_ratio_parameters
 from semscape.metrology.outliers import find_outliers
@@ -34,7 +34,7 @@ from semscape.metrology.step import Step, step_along_profile, step_between_regio
 from semscape.metrology.uncertainty import Estimate, monte_carlo
 from semscape.metrology.volume import distance, volumes
 from semscape.options import MeasureOptions
-from semscape.types import FloatArray, HeightMap
+from semscape.types import BoolArray, FloatArray, HeightMap
 
 _MONTE_CARLO_PIXELS = 100_000
 _SAME_PIXEL_SIZE = 1e-3
@@ -84,7 +84,7 @@ def measure(
     """
     options, pixel = request.options, height_map.pixel_size_um
     resolution = lateral_resolution(height_map.height_um, pixel, window_sigma_px)
-    matched, uncertainty, origin = _cropped(height_map, request.region)
+    matched, uncertainty, inside, origin = _cropped(height_map, request.region)
     request = _shifted(request, origin)
     n_outliers = 0
     if not math.isnan(options.outlier_sigmas):
@@ -100,7 +100,8 @@ def measure(
     contents = volumes(smooth, pixel, options.volume_level_um)
     slopes = {"Sdq": root_mean_square_slope(rough, pixel), "Sdr": developed_area_ratio(rough, pixel)}
     areas = {"projected area": projected, "developed area": developed}
-    areas |= {"volume above": contents.above, "volume below": contents.below, "unknown area": contents.unknown_area}
+    unknown_area = np.count_nonzero(inside & ~np.isfinite(smooth)) * pixel**2
+    areas |= {"volume above": contents.above, "volume below": contents.below, "unknown area": unknown_area}
     groups: dict[str, dict[str, float]] = {
         "height": height_parameters(rough),
         "slope": slopes,
@@ -129,7 +130,9 @@ def measure(
         apart = distance(matched, pixel, ends[0], ends[1])
         groups["distance"] = {"lateral": apart.lateral, "vertical": apart.vertical, "spatial": apart.spatial}
     figures = tuple(figure for group, values in groups.items() for figure in figures_of(group, values, unit, estimates))
-    warnings = surface_warnings(figures, matched, resolution, options, pixel=pixel, unit=unit, n_outliers=n_outliers)
+    warnings = surface_warnings(
+        figures, matched, inside, resolution, options, pixel=pixel, unit=unit, n_outliers=n_outliers
+    )
     return Measurement(figures, warnings, resolution, rough, origin, profile)
 
 
@@ -262,10 +265,13 @@ def _with_uncertainty(
     )
 
 
-def _cropped(height_map: HeightMap, region: Region | None) -> tuple[FloatArray, FloatArray, tuple[int, int]]:
+def _cropped(
+    height_map: HeightMap, region: Region | Polygon | None
+) -> tuple[FloatArray, FloatArray, BoolArray, tuple[int, int]]:
+    """Return heights, sigmas and what is inside, of the box around a region, and where that box begins."""
     height, uncertainty = height_map.height_um, height_map.uncertainty_um
     if region is None:
-        return height, uncertainty, (0, 0)
+        return height, uncertainty, np.ones(height.shape, dtype=bool), (0, 0)
     inside = region.mask((height.shape[0], height.shape[1]))
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if min(len(rows), len(cols)) < 2:
@@ -274,7 +280,8 @@ def _cropped(height_map: HeightMap, region: Region | None) -> tuple[FloatArray, 
             f"{height.shape[0]} px; choose a larger one"
         )
     window = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-    return height[window], uncertainty[window], (int(cols[0]), int(rows[0]))
+    inside, origin = inside[window], (int(cols[0]), int(rows[0]))
+    return np.where(inside, height[window], np.nan), np.where(inside, uncertainty[window], np.nan), inside, origin
 
 
 def _shifted(request: MeasureRequest, origin: tuple[int, int]) -> MeasureRequest:
@@ -284,11 +291,10 @@ def _shifted(request: MeasureRequest, origin: tuple[int, int]) -> MeasureRequest
     def line(places: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
         return None if places is None else (places[0] - x, places[1] - y, places[2] - x, places[3] - y)
 
-    def two(regions: tuple[Region, Region] | None) -> tuple[Region, Region] | None:
-        if regions is None:
-            return None
-        first, second = (Region(r.x0_px - x, r.y0_px - y, r.x1_px - x, r.y1_px - y) for r in regions)
-        return first, second
+    def two(
+        regions: tuple[Region | Polygon, Region | Polygon] | None,
+    ) -> tuple[Region | Polygon, Region | Polygon] | None:
+        return None if regions is None else (regions[0].shifted(x, y), regions[1].shifted(x, y))
 
     return replace(
         request,

@@ -3,8 +3,8 @@
 import { label, type Ink, type Pen2D } from "./annotate";
 import { worldAt } from "./grid";
 import { decimalsOf, fixed, ticks, tickStep, unitSign } from "./numbers";
+import type { Project } from "./overlay3d";
 import type { Surface } from "./types";
-import type { Project } from "./view3d";
 
 type Screen = [number, number];
 

@@ -31,6 +31,7 @@ import {
 } from "three";
 import { slopeAt, triangleMask, withoutGaps } from "./grid";
 import { SURFACE_FRAGMENT, SURFACE_VERTEX } from "./shaders";
+import type { Space } from "./space";
 import type { Surface } from "./types";
 
 /** Cells along the side of a patch. */
@@ -43,14 +44,12 @@ export interface SurfaceScene {
   points: InstancedBufferGeometry;
   surface: Mesh;
   dots: Points;
-  /** Length of the scene per unit of length of the surface. */
-  scale: number;
   dispose(): void;
 }
 
-export function makeSurfaceScene(surface: Surface, grey: Uint8Array | null, middle: number): SurfaceScene {
+export function makeSurfaceScene(surface: Surface, grey: Uint8Array | null, space: Space): SurfaceScene {
   const { rows, cols } = surface;
-  const scale = 1 / (Math.max(rows, cols) * surface.pixelSize);
+  const { scale, middle } = space;
   const textures: Record<string, Texture> = {
     heights: plane(withoutGaps(surface), cols, rows, "float"),
     known: plane(surface.sigmaCode, cols, rows, "byte"),
@@ -94,7 +93,6 @@ export function makeSurfaceScene(surface: Surface, grey: Uint8Array | null, midd
     points,
     surface: mesh,
     dots,
-    scale,
     dispose() {
       for (const thing of [...Object.values(textures), material, patch, points]) thing.dispose();
     },
