@@ -25,7 +25,7 @@ export function drawOver3D(pen: Pen2D, look: Look, surface: Surface, facts: Fact
   const { width, height, project } = sight;
   const settings = look.settings();
   const ink = look.ink();
-  if (settings.axes) drawAxes(pen, ink, surface, facts.shown, project, settings.eye.azimuthDeg, width);
+  if (settings.axes) drawAxes(pen, ink, surface, facts.shown, project, settings.eye.azimuthDeg, [width, height]);
   if (settings.cameras) {
     pen.textAlign = "center";
     pen.textBaseline = "bottom";
