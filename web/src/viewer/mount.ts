@@ -226,7 +226,7 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
         settings: () => settings,
         change: (changes) => viewer.change(changes),
         look: (where) =>
-          viewer.change({ eye: view!.fitted({ ...(where === "top" ? TOP : HOME), projection: settings.eye.projection }) }),
+          viewer.change({ eye: view!.fitted({ ...{ home: HOME, top: TOP, here: settings.eye }[where], projection: settings.eye.projection }) }),
         savePicture: () => void picture().then((blob) => save(blob, "surface.png")),
         theme: () => theme,
         setTheme,

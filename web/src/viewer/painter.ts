@@ -21,7 +21,7 @@ import { directionOf } from "./camera";
 import type { Colouring } from "./colours";
 import { fineStride, movingStride, tilesSeen, wireStride } from "./detail";
 import { gridFromWorld } from "./grid";
-import { cameraFrames, makeSurfaceScene, PATCH, setTiles, sparsePoints, type SurfaceScene } from "./scene";
+import { cameraDistance, cameraFrames, makeSurfaceScene, PATCH, setTiles, sparsePoints, type SurfaceScene } from "./scene";
 import type { Facts, Settings } from "./settings";
 import { SCREEN_FRAGMENT, SCREEN_VERTEX } from "./shaders";
 import type { Space } from "./space";
@@ -170,7 +170,7 @@ export class Painter {
     const key = `${ink.text} ${ink.accent} ${this.space.lift()}`;
     if (key !== this.drawnInk) {
       this.drawnInk = key;
-      this.frames = cameraFrames(this.surface, ink.quiet, ink.accent);
+      this.frames = cameraFrames(this.surface, cameraDistance(this.surface, this.space.top()), ink.quiet, ink.accent);
       const points = new Float32Array(this.surface.points.length);
       for (let k = 0; k < points.length; k += 3) {
         this.space.toScene(...gridFromWorld(this.surface, this.surface.points.subarray(k, k + 3))).toArray(points, k);

@@ -6,19 +6,27 @@ import type { Surface } from "./types";
 export class Space {
   /** Length of the scene per unit of length of the surface. */
   readonly scale: number;
+  /** Height at the middle of the scene. */
+  readonly middle: number;
 
   constructor(
     private readonly surface: Surface,
-    /** Height at the middle of the scene. */
-    readonly middle: number,
+    /** Lowest and highest height that are shown; half way between them is the middle of the scene. */
+    private readonly shown: [number, number],
     private readonly exaggeration: () => number,
   ) {
+    this.middle = 0.5 * (shown[0] + shown[1]);
     this.scale = 1 / (Math.max(surface.rows, surface.cols) * surface.pixelSize);
   }
 
   /** Length of the scene per unit of height. */
   lift(): number {
     return this.scale * this.exaggeration();
+  }
+
+  /** Where the highest height is in the scene. */
+  top(): number {
+    return (this.shown[1] - this.middle) * this.lift();
   }
 
   toScene(x: number, y: number, height: number, out = new Vector3()): Vector3 {

@@ -7,7 +7,8 @@ import type { ExportLink, Theme } from "./types";
 export interface ToolbarActions {
   settings(): Settings;
   change(changes: Partial<Settings>): void;
-  look(where: "home" | "top"): void;
+  /** Bring the eye to where it sees all, from a direction of its own or from where it looks. */
+  look(where: "home" | "top" | "here"): void;
   savePicture(): void;
   theme(): Theme;
   setTheme(theme: Theme): void;
@@ -39,10 +40,9 @@ export function toolbar(
   const toggle = (text: string, key: "shaded" | "anaglyph" | "cameras" | "sparse" | "axes", useful = true): HTMLElement => {
     const box = el("input", { type: "checkbox", disabled: !useful });
     box.addEventListener("change", () => {
-      const { eye } = settings();
+      change({ [key]: box.checked });
       // The cameras stand above the surface: step back, so that they are seen.
-      const back = key === "cameras" && box.checked && eye.reach < 0.8 ? { eye: { ...eye, reach: 0.8 } } : {};
-      change({ [key]: box.checked, ...back });
+      if (key === "cameras" && box.checked) actions.look("here");
     });
     refreshers.push(() => (box.checked = settings()[key]));
     return el("label", { class: "sv-check" }, box, text);

@@ -11,6 +11,7 @@ import { drawOver3D, type Project } from "./overlay3d";
 import { Painter, type Camera, type Look } from "./painter";
 import { pickHeight } from "./pick";
 import { opaquePicture } from "./picture";
+import { cameraDistance, cameraPlace } from "./scene";
 import type { Facts } from "./settings";
 import { Space } from "./space";
 import type { Surface } from "./types";
@@ -48,7 +49,7 @@ export class View3D {
   ) {
     this.canvas.className = "sv-canvas";
     this.overlay.className = "sv-overlay";
-    this.space = new Space(surface, 0.5 * (facts.shown[0] + facts.shown[1]), () => look.settings().exaggeration);
+    this.space = new Space(surface, facts.shown, () => look.settings().exaggeration);
     this.painter = new Painter(this.canvas, surface, facts, grey, this.space, look);
     this.firstPicture = new Promise((resolve) => (this.drawn = resolve));
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
@@ -78,12 +79,15 @@ export class View3D {
     if (pen) this.drawOver(pen);
   }
 
-  /** Return an eye brought to where it just sees the whole surface. */
+  /** Return an eye brought to where it just sees the whole surface, and the cameras of the series where they are shown. */
   fitted(eye: Eye): Eye {
     const { rows, cols } = this.surface;
     const corners = [0, cols - 1].flatMap((x) => [0, rows - 1].flatMap((y) => this.facts.shown.map((z) => this.space.toScene(x, y, z))));
     // Room for the colour bar and the axes' letters beside it.
     const width = Math.max(1, this.canvas.clientWidth - COLOUR_BAR_PX - 40);
+    const distance = cameraDistance(this.surface, this.space.top());
+    const { cameras } = this.look.settings();
+    if (cameras) corners.push(...this.surface.cameras.map((camera) => cameraPlace(camera.rotation, distance)));
     return fitted(eye, corners, width / Math.max(1, this.canvas.clientHeight));
   }
 
@@ -193,6 +197,7 @@ export class View3D {
       height: clientHeight,
       scale: this.space.scale,
       camera,
+      cameraDistance: cameraDistance(this.surface, this.space.top()),
       project: this.project(camera),
       marks: this.marks,
     });
