@@ -87,7 +87,8 @@ export class View3D {
     const width = Math.max(1, this.canvas.clientWidth - COLOUR_BAR_PX - 40);
     const distance = cameraDistance(this.surface, this.space.top());
     const { cameras } = this.look.settings();
-    if (cameras) corners.push(...this.surface.cameras.map((camera) => cameraPlace(camera.rotation, distance)));
+    // Their tilts are written above them.
+    if (cameras) corners.push(...this.surface.cameras.map((camera) => cameraPlace(camera.rotation, 1.15 * distance)));
     return fitted(eye, corners, width / Math.max(1, this.canvas.clientHeight));
   }
 
