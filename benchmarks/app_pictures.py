@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
-import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -13,6 +11,7 @@ from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 from app_server import served
+from chromium import CHROMIUM_FLAGS, find_chromium
 from isolated import REPOSITORY
 from semscape.io.simulated import write_simulated_series
 from semscape.simulate import PRESETS, simulate
@@ -20,18 +19,17 @@ from semscape.simulate import PRESETS, simulate
 PICTURES = REPOSITORY / "docs" / "pictures"
 _COLOURS = 256
 _RUN_MS = 300_000
-_ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 def main() -> None:
     """Take the pictures app-table, app-progress and app-result."""
-    chromium = os.environ.get("SEMSCAPE_CHROMIUM") or shutil.which("chromium")
+    chromium = find_chromium()
     if chromium is None:
         print("pictures of the app: skipped, there is no chromium", file=sys.stderr)
         return
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         images = write_simulated_series(Path(folder) / "images", *simulate("pollen", PRESETS["nominal"], rng=0))
-        browser = playwright.chromium.launch(executable_path=chromium, args=_ARGUMENTS)
+        browser = playwright.chromium.launch(executable_path=chromium, args=CHROMIUM_FLAGS)
         with served(Path(folder) / "semscape-runs") as (_, address):
             page = browser.new_page(viewport={"width": 1200, "height": 860})
             page.goto(address)

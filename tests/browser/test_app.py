@@ -18,6 +18,10 @@ from SurfaceTopography import open_topography
 
 from app_server import served
 from semscape.io.finished_run import read_finished_run
+from semscape.metrology.areal import height_parameters
+from semscape.metrology.grid import Polygon, Region
+from semscape.metrology.level import level
+from semscape.metrology.step import step_between_regions
 from semscape.report.run import write_run
 from synthetic_result import make_result
 
@@ -123,9 +127,6 @@ def test_from_dropped_files_to_a_measured_step_and_an_x3p_that_reads_back(
     expect(step).to_have_text(re.compile(r"^-?\d"), timeout=60_000)
     keep_picture(page, "app-measured", whole=True)
     height_map = read_finished_run(workspace / name).height_map
-    from semscape.metrology.grid import Region
-    from semscape.metrology.step import step_between_regions
-
     masks = [Region(*place).mask((rows, cols)) for place in (third, other)]
     expected = step_between_regions(height_map.height_um, height_map.pixel_size_um, *masks).height
     assert float(step.inner_text()) == pytest.approx(expected, rel=0.02, abs=0.02)
@@ -139,6 +140,53 @@ def test_from_dropped_files_to_a_measured_step_and_an_x3p_that_reads_back(
     known = height_map.height_um[np.isfinite(height_map.height_um)]
     assert len(in_um) == len(known)
     np.testing.assert_allclose(np.percentile(in_um, [5, 50, 95]), np.percentile(known, [5, 50, 95]), atol=1e-3)
+
+
+def test_a_polygon_of_the_viewer_is_measured_and_nothing_is_lost_on_reload(page: Page, workspace: Path) -> None:
+    page.get_by_role("link", name="made by hand").first.click()
+    page.wait_for_selector(".sv-root[data-ready=true]")
+    page.click("[data-tool=texture]")
+    page.click("button:has-text('Polygon')")
+    page.locator("canvas[data-name=map]").focus()
+    for key in ["ArrowLeft", "Enter", *["Shift+ArrowRight"] * 4, "Enter", *["Shift+ArrowDown"] * 3, "Enter", "Enter"]:
+        page.keyboard.press(key)
+    page.get_by_role("button", name="Take the places").click()
+    region = page.get_by_label("Region", exact=True)
+    expect(region).to_have_value("79, 59, 119, 59, 119, 89")
+    page.get_by_role("button", name="Measure", exact=True).click()
+    figure = page.locator('[data-figure="Sa"] td').first
+    expect(figure).to_be_visible(timeout=60_000)
+    height_map = read_finished_run(workspace / "made by hand").height_map
+    inside = Polygon(((79, 59), (119, 59), (119, 89))).mask(height_map.height_um.shape)
+    levelled = level(np.where(inside, height_map.height_um, np.nan), height_map.pixel_size_um).height
+    assert float(figure.inner_text()) == pytest.approx(height_parameters(levelled)["Sa"], rel=0.02)
+    keep_picture(page, "app-polygon", whole=True)
+    before = figure.inner_text()
+    page.reload()
+    expect(region).to_have_value("79, 59, 119, 59, 119, 89")
+    expect(figure).to_have_text(before)
+    expect(page.locator(".sv-table tr[data-name=Sa]")).to_have_count(1)
+
+
+def test_a_run_that_is_removed_by_mistake_comes_back(page: Page, workspace: Path) -> None:
+    shutil.copytree(workspace / "made by hand", workspace / "precious")
+    page.get_by_role("button", name="Remove precious").click()
+    expect(page.get_by_role("link", name="precious")).to_have_count(0)
+    page.get_by_role("button", name="Undo").click()
+    expect(page.get_by_role("link", name="precious")).to_be_visible()
+    page.get_by_role("button", name="Remove precious").click()
+    page.reload()
+    page.get_by_text("Removed runs").click()
+    keep_picture(page, "app-removed", whole=True)
+    page.get_by_role("button", name="Restore precious").first.click()
+    expect(page.get_by_role("link", name="precious")).to_be_visible()
+    assert (workspace / "precious" / "report.html").is_file()
+
+
+def test_a_folder_is_chosen(page: Page, master_images: Path) -> None:
+    page.set_input_files("input[webkitdirectory]", master_images)
+    expect(page.locator("tbody tr")).to_have_count(3)
+    expect(page.locator("h1")).to_contain_text(master_images.name)
 
 
 def test_an_edit_by_keyboard_is_kept_and_undone(page: Page, master_images: Path, workspace: Path) -> None:

@@ -3,6 +3,7 @@
 import { closedRings, NO_MARKS, type Marks, type Surface, type ViewerState } from "../viewer";
 import { api, type Figure, type Measurement } from "./api";
 import { button, el, fill } from "./dom";
+import { keepFields, keepValue, keptValue } from "./kept";
 import type { Notices } from "./notice";
 import { save } from "./save";
 import { unique } from "./upload";
@@ -31,13 +32,15 @@ export class Measure {
   private readonly second = textField(20);
   private readonly answer = el("div", { "aria-live": "polite" });
   private readonly stride: number;
-  private last: Measurement | null = null;
+  private readonly keep: () => void;
+  private last: Measurement | null;
 
   constructor(
     private readonly name: string,
     private readonly notices: Notices,
     surface: Surface,
     private readonly drawn: () => ViewerState,
+    private readonly revision: string,
   ) {
     this.stride = surface.stride;
     const length = unitText(surface.unit);
@@ -63,6 +66,14 @@ export class Measure {
       form,
       this.answer,
     );
+    const fields = [this.level, this.robust, this.sFilter, this.lFilter, this.region, this.profile, this.first, this.second];
+    this.keep = keepFields(`measure ${this.name}`, fields);
+    this.last = keptValue<Measurement>(this.keyOfAnswer());
+    if (this.last) this.show(this.last);
+  }
+
+  private keyOfAnswer(): string {
+    return `measured ${this.name} ${this.revision}`;
   }
 
   /** Fill the fields with what is marked in the viewer: its regions and lines are those of its tool. */
@@ -77,8 +88,9 @@ export class Measure {
     } else if ((tool === "region" || tool === "texture") && regions.length === 1) {
       this.region.value = regions[0]!;
     } else {
-      this.notices.say("Nothing is marked yet: mark a profile, a step's two regions, or a region with the viewer's tools.");
+      return this.notices.say("Nothing is marked yet: mark a profile, a step's two regions, or a region with the viewer's tools.");
     }
+    this.keep();
   }
 
   /** Places of the viewer, in px of the run's map. */
@@ -94,6 +106,7 @@ export class Measure {
     fill(this.answer);
     if (found === undefined) return;
     this.last = found;
+    keepValue(this.keyOfAnswer(), found);
     this.show(found);
   }
 
