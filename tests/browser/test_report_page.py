@@ -147,6 +147,7 @@ def test_paper_gets_pictures_instead_of_the_viewer(opened: Any) -> None:
     opened.emulate_media(media="print")
     assert opened.is_visible("img[alt='Height map']")
     assert not opened.is_visible(".sv-root")
+    keep_picture(opened, "report-print", whole=True)
     pdf = opened.pdf(format="A4", path=SCREENSHOTS / "report.pdf")
     assert pdf.startswith(b"%PDF")
 
