@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -19,7 +21,7 @@ from semscape.errors import BadInputError
 from semscape.io.finished_run import FinishedRun, read_finished_run, read_finished_views
 from semscape.io.inspect import describe_series
 from semscape.io.micrograph import read_micrograph
-from semscape.io.run_folder import plain_json, put_files
+from semscape.io.run_folder import plain_json
 from semscape.io.series import load_series
 from semscape.io.value_file import decode_value
 from semscape.metrology.grid import Polygon, Region, region_of
@@ -74,13 +76,13 @@ def draw_image(path: Path, longest_px: int, target: Path) -> None:
     picture.thumbnail((longest_px, longest_px), Image.Resampling.BOX)
     stream = io.BytesIO()
     picture.save(stream, "png", optimize=True)
-    put_files({target.name: stream.getvalue()}, target.parent)
+    _put(stream.getvalue(), target)
 
 
 def draw_thumbnail(run: Path, target: Path) -> None:
     """Write a small PNG of a finished run's shaded relief."""
     height_map = _finished(run).height_map
-    put_files({target.name: thumbnail_png(height_map, THUMBNAIL_PX)}, target.parent)
+    _put(thumbnail_png(height_map, THUMBNAIL_PX), target)
 
 
 def sparse_points(work: Path) -> bytes:
@@ -119,7 +121,7 @@ def write_surface(run: Path, target: Path) -> None:
         points_um=points,
         height_scale_relative_sigma=finished.height_scale_relative_sigma,
     )
-    put_files({target.name: surface}, target.parent)
+    _put(surface, target)
 
 
 def measured(run: Path, settings: Mapping[str, Any], places: Mapping[str, Any]) -> dict[str, Any]:
@@ -174,6 +176,14 @@ def exported(run: Path, format_name: str, settings: Mapping[str, Any], images: P
         for path in paths:
             file.write(path, path.name)
     return archive
+
+
+def _put(content: bytes, target: Path) -> None:
+    """Put a file of the cache in place. Others are being written beside it, by other processes: those stay alone."""
+    descriptor, partial = tempfile.mkstemp(prefix=".partial-", dir=target.parent)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(content)
+    Path(partial).replace(target)
 
 
 def _finished(run: Path) -> FinishedRun:
