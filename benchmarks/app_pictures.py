@@ -53,8 +53,7 @@ def _photograph(page: Page, images: list[Path]) -> None:
     page.wait_for_selector("tbody tr")
     page.get_by_role("button", name="Rename").click()
     page.get_by_role("heading", name="Pollen, 5 kV").wait_for()
-    while not page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth)"):
-        page.wait_for_timeout(100)
+    page.wait_for_function("[...document.images].every(image => image.complete && image.naturalWidth)")
     _keep(page, "app-table")
     page.get_by_role("button", name="Reconstruct", exact=True).click()
     page.wait_for_selector("canvas.preview", timeout=_RUN_MS)
