@@ -2,36 +2,44 @@
 
 from __future__ import annotations
 
-import io
-import os
-import shutil
 import sys
 import tempfile
 from pathlib import Path
 
-from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 from app_server import served
+from chromium import CHROMIUM_FLAGS, find_chromium
+from docs_pictures import few_colours
 from isolated import REPOSITORY
 from semscape.io.simulated import write_simulated_series
 from semscape.simulate import PRESETS, simulate
 
 PICTURES = REPOSITORY / "docs" / "pictures"
-_COLOURS = 256
-_RUN_MS = 300_000
-_ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+_RUN_MS = 600_000
+# Corners of a polygon around the pollen grain, as shares of the map's view.
+_AROUND = [
+    (0.3, 0.27),
+    (0.45, 0.25),
+    (0.59, 0.33),
+    (0.66, 0.5),
+    (0.6, 0.66),
+    (0.45, 0.73),
+    (0.28, 0.71),
+    (0.19, 0.6),
+    (0.2, 0.4),
+]
 
 
 def main() -> None:
     """Take the pictures app-table, app-progress and app-result."""
-    chromium = os.environ.get("SEMSCAPE_CHROMIUM") or shutil.which("chromium")
+    chromium = find_chromium()
     if chromium is None:
         print("pictures of the app: skipped, there is no chromium", file=sys.stderr)
         return
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         images = write_simulated_series(Path(folder) / "images", *simulate("pollen", PRESETS["nominal"], rng=0))
-        browser = playwright.chromium.launch(executable_path=chromium, args=_ARGUMENTS)
+        browser = playwright.chromium.launch(executable_path=chromium, args=CHROMIUM_FLAGS)
         with served(Path(folder) / "semscape-runs") as (_, address):
             page = browser.new_page(viewport={"width": 1200, "height": 860})
             page.goto(address)
@@ -45,23 +53,27 @@ def _photograph(page: Page, images: list[Path]) -> None:
     page.wait_for_selector("tbody tr")
     page.get_by_role("button", name="Rename").click()
     page.get_by_role("heading", name="Pollen, 5 kV").wait_for()
-    while not page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth)"):
-        page.wait_for_timeout(100)
+    page.wait_for_function("[...document.images].every(image => image.complete && image.naturalWidth)")
     _keep(page, "app-table")
     page.get_by_role("button", name="Reconstruct", exact=True).click()
     page.wait_for_selector("canvas.preview", timeout=_RUN_MS)
     _keep(page, "app-progress")
     page.wait_for_selector(".sv-root canvas", timeout=_RUN_MS)
-    page.set_viewport_size({"width": 1200, "height": 1120})
-    page.wait_for_timeout(2000)  # the full resolution comes when the view is still
+    page.set_viewport_size({"width": 1200, "height": 1240})
+    page.click("[data-tool=region]")
+    page.click("button:has-text('Polygon')")
+    box = page.locator("canvas[data-name=map]").bounding_box()
+    assert box is not None
+    for x, y in [*_AROUND, _AROUND[0]]:
+        page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    page.mouse.move(5, 5)
+    page.wait_for_selector(".sv-root[data-picture=still]")
     _keep(page, "app-result")
 
 
 def _keep(page: Page, name: str) -> None:
-    with Image.open(io.BytesIO(page.screenshot())) as shot:
-        few = shot.convert("RGB").quantize(_COLOURS, dither=Image.Dither.FLOYDSTEINBERG)
     path = PICTURES / f"{name}.png"
-    few.save(path, optimize=True)
+    path.write_bytes(few_colours(page.screenshot()))
     print(f"{path.relative_to(REPOSITORY)}: {path.stat().st_size // 1000} kB")
 
 

@@ -74,7 +74,7 @@ def draw_viewer() -> bytes:
         page.mouse.move(5, 5)
         page.wait_for_timeout(500)
         page.wait_for_selector(".sv-root[data-picture=still]")
-        return _dithered(page.locator(".sv-root").screenshot())
+        return few_colours(page.locator(".sv-root").screenshot())
 
 
 def draw_report() -> bytes:
@@ -85,10 +85,10 @@ def draw_report() -> bytes:
         page.wait_for_selector(".sv-root[data-picture=still]")
         page.mouse.wheel(0, -5000)
         page.wait_for_timeout(300)
-        return _dithered(page.screenshot())
+        return few_colours(page.screenshot())
 
 
-def _dithered(png: bytes) -> bytes:
+def few_colours(png: bytes) -> bytes:
     """Return a picture with few colours, its shades dithered: a surface in 256 plain colours has steps."""
     from PIL import Image
 

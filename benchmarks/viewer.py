@@ -1,12 +1,18 @@
 """The viewer in headless Chromium with software GL: seconds to the first picture and to the full one, bytes, as JSON.
 
-`python benchmarks/viewer.py 1024 4096` takes sizes of square maps; 1024 and 4096 where none are named.
+`python benchmarks/viewer.py 1024 4096` takes sizes of square maps; 1024 and 4096 where none are named. Between its
+pictures an empty page is opened on which three.js draws one triangle, in a canvas of the size of the viewer's: what a
+busy machine does to a time it does to both, so that their ratio tells more. The load is that of the last minute.
 """
 
 from __future__ import annotations
 
 import base64
 import json
+import os
+import shutil
+import statistics
+import subprocess
 import sys
 import tempfile
 import time
@@ -14,10 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 from scipy import ndimage
 
 from chromium import CHROMIUM_FLAGS, find_chromium
+from isolated import REPOSITORY
 from semscape.report.markup import page
 from semscape.report.surface_file import encode_surface
 from semscape.report.viewer_page import viewer_script
@@ -25,6 +32,24 @@ from semscape.types import HeightMap
 
 _ROUNDS = 3
 _DEADLINE_MS = 300_000
+_SIZE = {"width": 1440, "height": 1000}
+_WEB = REPOSITORY / "web"
+_EMPTY = """
+import { BufferAttribute, BufferGeometry, Camera, Mesh, MeshBasicMaterial, Scene, WebGLRenderer } from "three";
+const root = document.createElement("div");
+root.className = "sv-root";
+const renderer = new WebGLRenderer({ alpha: true });
+renderer.setSize(640, 560);
+root.append(renderer.domElement);
+document.body.append(root);
+const geometry = new BufferGeometry();
+geometry.setAttribute("position", new BufferAttribute(new Float32Array([-0.5, -0.5, 0, 0.5, -0.5, 0, 0, 0.5, 0]), 3));
+const scene = new Scene().add(new Mesh(geometry, new MeshBasicMaterial()));
+requestAnimationFrame(() => {
+  renderer.render(scene, new Camera());
+  requestAnimationFrame(() => requestAnimationFrame(() => (root.dataset.ready = "true")));
+});
+"""
 
 
 def rough_map(size: int) -> HeightMap:
@@ -46,6 +71,34 @@ def rough_map(size: int) -> HeightMap:
     )
 
 
+def empty_page(folder: Path) -> Path | None:
+    """Return a page on which three.js draws one triangle; None where three.js or Node is not there."""
+    node, esbuild = shutil.which("node"), _WEB / "node_modules" / "esbuild" / "bin" / "esbuild"
+    if node is None or not esbuild.is_file():
+        return None
+    bundled = subprocess.run(
+        [node, str(esbuild), "--bundle", "--minify", "--format=iife", "--target=es2022"],
+        input=_EMPTY,
+        capture_output=True,
+        text=True,
+        cwd=_WEB,
+        check=True,
+    )
+    path = folder / "empty.html"
+    path.write_text(page("empty", [], bundled.stdout), encoding="utf-8")
+    return path
+
+
+def first_picture_s(browser: Browser, path: Path) -> tuple[Page, float, float]:
+    """Return a page, when its opening began, and the seconds to its first picture."""
+    opened = browser.new_page(viewport=_SIZE)  # type: ignore[arg-type]
+    opened.set_default_timeout(_DEADLINE_MS)
+    start = time.perf_counter()
+    opened.goto(path.as_uri())
+    opened.wait_for_selector(".sv-root[data-ready=true]")
+    return opened, start, time.perf_counter() - start
+
+
 def measure(browser: Browser, size: int, folder: Path) -> dict[str, Any]:
     """Return what a map of size x size heights takes in a page that carries all of it, as a report does."""
     script = viewer_script()
@@ -59,14 +112,15 @@ def measure(browser: Browser, size: int, folder: Path) -> dict[str, Any]:
     data = f'<script type="application/octet-stream" id="semscape-surface">{carried}</script>'
     path = folder / f"{size}.html"
     path.write_text(page("benchmark", [place, data], script), encoding="utf-8")
-    first, still, heap = [], [], 0
+    first, still, empty, heap = [], [], [], 0
+    beside = empty_page(folder)
     for _ in range(_ROUNDS):
-        opened = browser.new_page(viewport={"width": 1440, "height": 1000})
-        opened.set_default_timeout(_DEADLINE_MS)
-        start = time.perf_counter()
-        opened.goto(path.as_uri())
-        opened.wait_for_selector(".sv-root[data-ready=true]")
-        first.append(time.perf_counter() - start)
+        if beside is not None:
+            opened, _, seconds = first_picture_s(browser, beside)
+            empty.append(seconds)
+            opened.close()
+        opened, start, seconds = first_picture_s(browser, path)
+        first.append(seconds)
         opened.wait_for_selector(".sv-root[data-picture=still]")
         still.append(time.perf_counter() - start)
         heap = opened.evaluate("performance.memory.usedJSHeapSize")
@@ -77,7 +131,10 @@ def measure(browser: Browser, size: int, folder: Path) -> dict[str, Any]:
         "surface_bytes": len(content),
         "page_bytes": path.stat().st_size,
         "make_surface_s": round(encode_s, 2),
+        "load": round(os.getloadavg()[0], 1),
         "first_picture_s": [round(seconds, 2) for seconds in first],
+        "empty_three_js_page_s": [round(seconds, 2) for seconds in empty],
+        "first_picture_of_empty_page": round(statistics.median(first) / statistics.median(empty), 1) if empty else None,
         "full_picture_s": [round(seconds, 2) for seconds in still],
         "full_picture_triangles": triangles,
         "script_heap_mb": round(heap / 1e6),

@@ -306,9 +306,66 @@ def test_a_title_changes_and_no_folder(client: TestClient, uploaded: str, finish
 
 
 def test_a_run_that_is_removed_is_only_put_aside(client: TestClient, uploaded: str, workspace: Workspace) -> None:
-    assert client.delete(f"/api/runs/{uploaded}").status_code == 204
+    key = client.delete(f"/api/runs/{uploaded}").json()["key"]
     assert client.get(f"/api/runs/{uploaded}").status_code == 404
-    assert len(list((workspace.folder / "removed").glob("*/images/*.tif"))) == 3
+    assert len(list((workspace.folder / "removed" / key / "images").glob("*.tif"))) == 3
+
+
+def test_a_removed_run_comes_back_as_it_was(
+    client: TestClient, uploaded: str, finished: str, workspace: Workspace
+) -> None:
+    client.put(f"/api/runs/{uploaded}/cells", json={"key": "pixel_size_um", "value": 0.3})
+    before = client.get("/api/runs").json()
+    for name in (uploaded, finished):
+        client.delete(f"/api/runs/{name}")
+    assert client.get("/api/runs").json() == []
+    removed = client.get("/api/removed").json()
+    assert [run["title"] for run in removed] == [finished, "fracture"]
+    for run in removed:
+        assert client.post(f"/api/removed/{run['key']}/restore").status_code == 200
+    assert client.get("/api/runs").json() == before
+    assert client.post(f"/api/runs/{uploaded}/undo").status_code == 200  # the edit can still be undone
+    assert client.get("/api/removed").json() == []
+    assert client.post(f"/api/removed/{removed[0]['key']}/restore").status_code == 404
+
+
+def test_a_removed_run_whose_name_was_taken_gets_another(client: TestClient, uploaded: str) -> None:
+    key = client.delete(f"/api/runs/{uploaded}").json()["key"]
+    assert client.post("/api/runs", json={"title": "fracture"}).json()["name"] == uploaded
+    restored = client.post(f"/api/removed/{key}/restore").json()
+    assert (restored["name"], restored["title"], restored["n_images"]) == (f"{uploaded}-2", "fracture", 3)
+
+
+def test_an_image_that_is_taken_out_is_put_aside(client: TestClient, uploaded: str, workspace: Workspace) -> None:
+    (name, *_) = sorted(path.name for path in (workspace.folder / "images" / uploaded).glob("*.tif"))
+    assert client.delete(f"/api/runs/{uploaded}/files/{name}").json()["n_images"] == 2
+    assert [path.name for path in (workspace.folder / "removed").glob("*/files/*")] == [name]
+    assert client.get("/api/removed").json() == []  # it is no run
+
+
+@pytest.mark.parametrize("name", ["..", ".semscape-app", "images", "removed"])
+def test_a_folder_put_among_the_removed_ones_cannot_take_a_place_of_the_app(
+    client: TestClient, workspace: Workspace, name: str
+) -> None:
+    made = workspace.folder / "removed" / f"{name}-20260131-142501-000123"
+    (made / "images").mkdir(parents=True)
+    (made / "images" / "a.tif").write_bytes(b"x")
+    restored = client.post(f"/api/removed/{made.name}/restore").json()
+    assert restored["name"] not in {name, "images", "removed"}
+    assert (workspace.folder / "images" / restored["name"] / "a.tif").is_file()
+    assert client.post(f"/api/removed/{name}/restore").status_code == 404
+
+
+def test_links_among_the_removed_runs_are_not_followed(
+    client: TestClient, uploaded: str, workspace: Workspace, tmp_path: Path
+) -> None:
+    (tmp_path / "outside" / "images").mkdir(parents=True)
+    folder = workspace.folder / "removed"
+    folder.mkdir()
+    (folder / "a-20260131-142501-000123").symlink_to(tmp_path / "outside")
+    (folder / "b-20260131-142501-000123").mkdir()
+    (folder / "b-20260131-142501-000123" / "images").symlink_to(tmp_path / "outside" / "images")
+    assert client.get("/api/removed").json() == []
 
 
 def test_a_page_hears_of_every_change(client: TestClient, uploaded: str) -> None:

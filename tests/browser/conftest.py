@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from browser_checks import keep_picture
 
 from chromium import CHROMIUM_FLAGS, CHROMIUM_VARIABLE, find_chromium
 
@@ -29,14 +30,15 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def page(browser: Any) -> Iterator[Any]:
-    """Return an empty page that fails the test when its scripts do."""
+def page(browser: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
+    """Return an empty page that fails the test when its scripts do; a picture of it is kept at the end."""
     opened = browser.new_page(viewport={"width": 1280, "height": 1000})
     faults: list[str] = []
     opened.on("pageerror", lambda error: faults.append(str(error)))
     opened.on("console", lambda said: faults.append(said.text) if _is_fault(said) else None)
     opened.set_default_timeout(60_000)
     yield opened
+    keep_picture(opened, request.node.name.removeprefix("test_"))
     opened.close()
     assert not faults
 

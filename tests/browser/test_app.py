@@ -7,23 +7,25 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from browser_checks import serious_faults
+from browser_checks import keep_picture, serious_faults
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 from SurfaceTopography import open_topography
 
 from app_server import served
 from semscape.io.finished_run import read_finished_run
+from semscape.metrology.areal import height_parameters
+from semscape.metrology.grid import Polygon, Region
+from semscape.metrology.level import level
+from semscape.metrology.step import step_between_regions
 from semscape.report.run import write_run
 from synthetic_result import make_result
 
 RUN_MS = 240_000
-SCREENSHOTS = Path(__file__).resolve().parents[2] / "build" / "screenshots"
-Shoot = Callable[[Page, str], None]
 expect.set_options(timeout=30_000)  # a machine may be busy
 
 
@@ -34,17 +36,6 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
     made.set_default_timeout(30_000)
     yield made
     made.close()
-
-
-@pytest.fixture
-def shoot() -> Shoot:
-    """Keep a picture of a page among the artefacts of the tests."""
-    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-
-    def keep(page: Page, name: str) -> None:
-        page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
-
-    return keep
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +51,7 @@ def address(workspace: Path) -> Iterator[str]:
 
 
 @pytest.fixture
-def page(context: BrowserContext, address: str) -> Iterator[Page]:
+def page(context: BrowserContext, address: str, request: pytest.FixtureRequest) -> Iterator[Page]:
     """Open the app; at the end no fault has been told and nothing was asked of another machine."""
     opened = context.new_page()
     origin = address.partition("/?")[0]
@@ -72,6 +63,7 @@ def page(context: BrowserContext, address: str) -> Iterator[Page]:
     opened.goto(address)
     expect(opened).to_have_url(f"{origin}/")  # the token has gone from the address
     yield opened
+    keep_picture(opened, f"app-{request.node.name.removeprefix('test_')}")
     assert [url for url in asked if not url.startswith((origin, "blob:", "data:"))] == []
     assert [fault for fault in faults if "status of 4" not in fault] == []  # refusals are told on the page
 
@@ -107,23 +99,23 @@ def series(request: pytest.FixtureRequest, master_images: Path) -> Path:
 
 
 def test_from_dropped_files_to_a_measured_step_and_an_x3p_that_reads_back(
-    page: Page, series: Path, workspace: Path, tmp_path: Path, shoot: Shoot
+    page: Page, series: Path, workspace: Path, tmp_path: Path
 ) -> None:
     drop(page, images_of(series))
     expect(page.locator("tbody tr")).to_have_count(len(images_of(series)))
     expect(page.locator("tbody")).to_contain_text("Zeiss")
     sizes = page.get_by_label("pixel size in µm")
     expect(sizes.first).not_to_have_value("")
-    shoot(page, "app-table")
+    keep_picture(page, "app-table", whole=True)
     page.get_by_text("More settings").click()
     page.get_by_label("Options, one a line").fill("dense.max_pairs=2\ndense.mesh_max_vertices=20000")
     page.get_by_role("button", name="Reconstruct", exact=True).click()
     expect(page.locator("canvas.preview")).to_be_visible(timeout=RUN_MS)
-    shoot(page, "app-progress")
+    keep_picture(page, "app-progress", whole=True)
     page.reload()
     expect(page.locator("h1")).to_contain_text(re.compile("good|usable|do not measure"), timeout=RUN_MS)
     page.wait_for_selector(".sv-root canvas")
-    shoot(page, "app-result")
+    keep_picture(page, "app-result", whole=True)
     name = page.url.rpartition("/")[2]
     rows, cols = read_finished_run(workspace / name).height_map.height_um.shape
     third = [cols // 8, rows // 3, cols // 3, 2 * rows // 3]
@@ -133,11 +125,8 @@ def test_from_dropped_files_to_a_measured_step_and_an_x3p_that_reads_back(
     page.get_by_role("button", name="Measure", exact=True).click()
     step = page.locator('tbody[data-group="step"] tr[data-figure="height"] td').first
     expect(step).to_have_text(re.compile(r"^-?\d"), timeout=60_000)
-    shoot(page, "app-measured")
+    keep_picture(page, "app-measured", whole=True)
     height_map = read_finished_run(workspace / name).height_map
-    from semscape.metrology.grid import Region
-    from semscape.metrology.step import step_between_regions
-
     masks = [Region(*place).mask((rows, cols)) for place in (third, other)]
     expected = step_between_regions(height_map.height_um, height_map.pixel_size_um, *masks).height
     assert float(step.inner_text()) == pytest.approx(expected, rel=0.02, abs=0.02)
@@ -151,6 +140,53 @@ def test_from_dropped_files_to_a_measured_step_and_an_x3p_that_reads_back(
     known = height_map.height_um[np.isfinite(height_map.height_um)]
     assert len(in_um) == len(known)
     np.testing.assert_allclose(np.percentile(in_um, [5, 50, 95]), np.percentile(known, [5, 50, 95]), atol=1e-3)
+
+
+def test_a_polygon_of_the_viewer_is_measured_and_nothing_is_lost_on_reload(page: Page, workspace: Path) -> None:
+    page.get_by_role("link", name="made by hand").first.click()
+    page.wait_for_selector(".sv-root[data-ready=true]")
+    page.click("[data-tool=texture]")
+    page.click("button:has-text('Polygon')")
+    page.locator("canvas[data-name=map]").focus()
+    for key in ["ArrowLeft", "Enter", *["Shift+ArrowRight"] * 4, "Enter", *["Shift+ArrowDown"] * 3, "Enter", "Enter"]:
+        page.keyboard.press(key)
+    page.get_by_role("button", name="Take the places").click()
+    region = page.get_by_label("Region", exact=True)
+    expect(region).to_have_value("79, 59, 119, 59, 119, 89")
+    page.get_by_role("button", name="Measure", exact=True).click()
+    figure = page.locator('[data-figure="Sa"] td').first
+    expect(figure).to_be_visible(timeout=60_000)
+    height_map = read_finished_run(workspace / "made by hand").height_map
+    inside = Polygon(((79, 59), (119, 59), (119, 89))).mask(height_map.height_um.shape)
+    levelled = level(np.where(inside, height_map.height_um, np.nan), height_map.pixel_size_um).height
+    assert float(figure.inner_text()) == pytest.approx(height_parameters(levelled)["Sa"], rel=0.02)
+    keep_picture(page, "app-polygon", whole=True)
+    before = figure.inner_text()
+    page.reload()
+    expect(region).to_have_value("79, 59, 119, 59, 119, 89")
+    expect(figure).to_have_text(before)
+    expect(page.locator(".sv-table tr[data-name=Sa]")).to_have_count(1)
+
+
+def test_a_run_that_is_removed_by_mistake_comes_back(page: Page, workspace: Path) -> None:
+    shutil.copytree(workspace / "made by hand", workspace / "precious")
+    page.get_by_role("button", name="Remove precious").click()
+    expect(page.get_by_role("link", name="precious")).to_have_count(0)
+    page.get_by_role("button", name="Undo").click()
+    expect(page.get_by_role("link", name="precious")).to_be_visible()
+    page.get_by_role("button", name="Remove precious").click()
+    page.reload()
+    page.get_by_text("Removed runs").click()
+    keep_picture(page, "app-removed", whole=True)
+    page.get_by_role("button", name="Restore precious").first.click()
+    expect(page.get_by_role("link", name="precious")).to_be_visible()
+    assert (workspace / "precious" / "report.html").is_file()
+
+
+def test_a_folder_is_chosen(page: Page, master_images: Path) -> None:
+    page.set_input_files("input[webkitdirectory]", master_images)
+    expect(page.locator("tbody tr")).to_have_count(3)
+    expect(page.locator("h1")).to_contain_text(master_images.name)
 
 
 def test_an_edit_by_keyboard_is_kept_and_undone(page: Page, master_images: Path, workspace: Path) -> None:
@@ -189,6 +225,7 @@ def test_files_that_are_no_series_are_told_in_plain_words(page: Page, master_ima
     drop(page, [*images_of(master_images), tmp_path / "torn.tif", tmp_path / "notes.docx"])
     expect(page.get_by_role("alert").filter(has_text="torn.tif")).to_be_visible()
     expect(page.locator(".notice")).to_contain_text(["notes.docx"])
+    keep_picture(page, "app-torn-file", whole=True)
     page.get_by_role("button", name="Remove torn.tif").click()
     expect(page.locator("tbody tr")).to_have_count(3)
     expect(page.get_by_role("alert").filter(has_text="torn.tif")).to_have_count(0)
@@ -223,17 +260,17 @@ def test_the_page_that_cannot_listen_asks(page: Page, context: BrowserContext, w
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_no_serious_fault(page: Page, master_images: Path, scheme: str, shoot: Shoot, axe: str) -> None:
+def test_axe_finds_no_serious_fault(page: Page, master_images: Path, scheme: str, axe: str) -> None:
     page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
     expect(page.locator(".run").first).to_be_visible()
     assert serious_faults(page, axe) == []
-    shoot(page, f"app-list-{scheme}")
+    keep_picture(page, f"app-list-{scheme}", whole=True)
     page.get_by_role("link", name="made by hand").first.click()
     page.wait_for_selector(".sv-root canvas")
     page.get_by_role("button", name="Measure", exact=True).click()
     expect(page.locator('[data-figure="Sa"]')).to_be_visible(timeout=60_000)
     assert serious_faults(page, axe) == []
-    shoot(page, f"app-result-{scheme}")
+    keep_picture(page, f"app-result-{scheme}", whole=True)
     page.goto(page.url.partition("#")[0] + "#/")
     drop(page, images_of(master_images))
     expect(page.locator("tbody tr")).to_have_count(3)
@@ -243,7 +280,7 @@ def test_axe_finds_no_serious_fault(page: Page, master_images: Path, scheme: str
     assert serious_faults(page, axe) == []
 
 
-def test_it_is_readable_at_200_percent(page: Page, shoot: Shoot) -> None:
+def test_it_is_readable_at_200_percent(page: Page) -> None:
     """A zoom of 200 % leaves half the pixels: nothing may be cut off or need scrolling sideways."""
     page.set_viewport_size({"width": 640, "height": 450})
     for opened in ("list", "run"):
@@ -251,7 +288,7 @@ def test_it_is_readable_at_200_percent(page: Page, shoot: Shoot) -> None:
             page.get_by_role("link", name="made by hand").first.click()
             page.wait_for_selector(".sv-root canvas")
         assert page.evaluate("document.documentElement.scrollWidth") <= 640
-        shoot(page, f"app-{opened}-200-percent")
+        keep_picture(page, f"app-{opened}-200-percent", whole=True)
 
 
 def test_the_keyboard_alone_opens_a_run(page: Page) -> None:
@@ -265,7 +302,7 @@ def test_the_keyboard_alone_opens_a_run(page: Page) -> None:
     expect(page.locator("main")).to_be_focused()
 
 
-def test_the_report_shows_its_viewer_in_its_sandbox(page: Page, context: BrowserContext, shoot: Shoot) -> None:
+def test_the_report_shows_its_viewer_in_its_sandbox(page: Page, context: BrowserContext) -> None:
     page.goto(page.url + "#/run/made%20by%20hand")
     faults: list[str] = []
     context.on("weberror", lambda error: faults.append(str(error.error)))
@@ -274,7 +311,7 @@ def test_the_report_shows_its_viewer_in_its_sandbox(page: Page, context: Browser
         page.get_by_role("link", name="Open the report").click()
     report = opening.value
     report.wait_for_selector(".sv-root canvas")
-    shoot(report, "app-report")
+    keep_picture(report, "app-report", whole=True)
     assert faults == []
     with report.expect_download() as download:
         report.evaluate("""() => {

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser_checks import serious_faults
+from browser_checks import SCREENSHOTS, keep_picture, serious_faults
 from PIL import Image
 
 from semscape.report import render_html
@@ -147,7 +147,9 @@ def test_paper_gets_pictures_instead_of_the_viewer(opened: Any) -> None:
     opened.emulate_media(media="print")
     assert opened.is_visible("img[alt='Height map']")
     assert not opened.is_visible(".sv-root")
-    assert opened.pdf(format="A4").startswith(b"%PDF")
+    keep_picture(opened, "report-print", whole=True)
+    pdf = opened.pdf(format="A4", path=SCREENSHOTS / "report.pdf")
+    assert pdf.startswith(b"%PDF")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -158,6 +160,7 @@ def test_axe_finds_no_serious_fault(page: Any, report: Path, axe: str, scheme: s
     page.click("[data-tool=texture]")
     page.click("summary:has-text('Show')")
     assert serious_faults(page, axe) == []
+    keep_picture(page, f"report-{scheme}", whole=True)
 
 
 def test_it_reads_at_twice_the_size(browser: Any, report: Path) -> None:
@@ -165,6 +168,7 @@ def test_it_reads_at_twice_the_size(browser: Any, report: Path) -> None:
     page.goto(report.as_uri())
     page.wait_for_selector(".sv-root[data-ready=true]")
     assert page.evaluate("document.documentElement.scrollWidth") <= 640
+    keep_picture(page, "report-200-percent", whole=True)
     page.close()
 
 
@@ -187,6 +191,7 @@ def test_without_scripts_there_are_pictures(browser: Any, report: Path) -> None:
     page = context.new_page()
     page.goto(report.as_uri())
     assert page.is_visible("img[alt='Height map']")
+    keep_picture(page, "report-without-scripts", whole=True)
     context.close()
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from semscape.dense.mesh import height_map_mesh
 from semscape.metrology.areal import developed_area_ratio, developed_areas, height_parameters, root_mean_square_slope
-from semscape.metrology.grid import Region
+from semscape.metrology.grid import Polygon, Region
 from semscape.metrology.level import level
 from semscape.metrology.planes import angle_between, fit_plane
 from semscape.metrology.profile import extract_profile, profile_parameters
@@ -45,8 +45,13 @@ def measured(page: Any, viewer_bundle: str) -> Any:
     page.set_content("<!DOCTYPE html><html lang='en'><title>t</title><body style='margin:0'></body></html>")
     page.evaluate(viewer_bundle.replace("var viewer =", "window.viewer =", 1))
 
-    def figures(tool: str, places: list[tuple[int, int]], content: bytes = CONTENT, **choices: Any) -> dict[str, float]:
-        state = {"tool": tool, "places": [{"x": x, "y": y} for x, y in places], "choices": choices}
+    def figures(
+        tool: str, places: list[tuple[int, int]], content: bytes = CONTENT, ends: Any = None, **choices: Any
+    ) -> dict[str, float]:
+        if ends is None:
+            ends = list(range(2, len(places) + 1, 2)) if tool in {"step", "region", "texture"} else []
+        marks = {"places": [{"x": x, "y": y} for x, y in places], "ends": ends}
+        state = {"tool": tool, "marks": marks, "choices": choices}
         found: dict[str, float] = page.evaluate(MOUNT, [base64.b64encode(content).decode(), state])
         return found
 
@@ -119,6 +124,10 @@ def test_a_bump_on_a_slope_has_its_volume_over_the_rim(measured: Any) -> None:
     found = measured("region", [(5, 5), (55, 55)], encode_surface(some), reference="rim")
     assert found["Volume above"] == pytest.approx(3 * 2 * np.pi * 25, rel=2e-3)
     assert found["Volume below"] == pytest.approx(0, abs=0.5)
+    octagon = [(5, 20), (20, 5), (40, 5), (55, 20), (55, 40), (40, 55), (20, 55), (5, 40)]
+    found = measured("region", octagon, encode_surface(some), ends=[8], reference="rim")
+    assert found["Volume above"] == pytest.approx(3 * 2 * np.pi * 25, rel=2e-3)
+    assert found["Volume below"] == pytest.approx(0, abs=0.5)
 
 
 @pytest.mark.parametrize("region", [None, (10, 20, 90, 80)])
@@ -129,6 +138,50 @@ def test_iso_25178_is_that_of_metrology(measured: Any, region: tuple[int, int, i
     truth = height_parameters(levelled)
     truth |= {"Sdq": root_mean_square_slope(levelled, PIXEL), "Sdr": developed_area_ratio(levelled, PIXEL)}
     assert found.keys() == truth.keys()
+    for name, value in truth.items():
+        assert found[name] == pytest.approx(value, rel=2e-4), name
+
+
+# Concave, with edges along rows and columns and others, over a part of the unknown corner.
+CORNERS = [(20, 20), (118, 4), (118, 60), (70, 40), (40, 88), (20, 88)]
+
+
+def inside_the_polygon() -> tuple[np.ndarray, np.ndarray]:
+    """Return the box around the polygon, and its heights with those beside the polygon unknown."""
+    mask = Polygon(tuple((float(x), float(y)) for x, y in CORNERS)).mask(HEIGHT.shape)
+    return mask[4:89, 20:119], np.where(mask, HEIGHT, np.nan)[4:89, 20:119]
+
+
+def test_a_step_to_a_polygon_is_that_of_metrology(measured: Any) -> None:
+    found = measured("step", [(2, 30), (14, 90), *CORNERS], ends=[2, 8])
+    masks = [
+        Region(2, 30, 14, 90).mask(HEIGHT.shape),
+        Polygon(tuple((float(x), float(y)) for x, y in CORNERS)).mask(HEIGHT.shape),
+    ]
+    truth = step_between_regions(HEIGHT, PIXEL, *masks)
+    assert found["Step height"] == pytest.approx(truth.height, rel=CLOSE)
+    assert found["Residual"] == pytest.approx(truth.residual_rms, rel=CLOSE)
+    angle = angle_between(*(fit_plane(HEIGHT, PIXEL, mask) for mask in masks))
+    assert found["Angle"] == pytest.approx(np.rad2deg(angle), rel=CLOSE)
+
+
+def test_area_and_volume_of_a_polygon_are_those_of_metrology(measured: Any) -> None:
+    found = measured("region", CORNERS, ends=[6], reference="lowest")
+    mask, part = inside_the_polygon()
+    truth = volumes(part, PIXEL, float(np.nanmin(part)))
+    developed, projected = developed_areas(part, PIXEL)
+    assert found["Volume above"] == pytest.approx(truth.above, rel=CLOSE)
+    assert found["Developed area"] == pytest.approx(developed, rel=CLOSE)
+    assert found["Projected area"] == pytest.approx(projected)
+    assert found["Unknown area"] == pytest.approx(np.count_nonzero(mask & np.isnan(part)) * PIXEL**2)
+    assert found["Unknown area"] > 0
+
+
+def test_iso_25178_of_a_polygon_is_that_of_metrology(measured: Any) -> None:
+    found = measured("texture", CORNERS, ends=[6])
+    levelled = level(inside_the_polygon()[1], PIXEL).height
+    truth = height_parameters(levelled)
+    truth |= {"Sdq": root_mean_square_slope(levelled, PIXEL), "Sdr": developed_area_ratio(levelled, PIXEL)}
     for name, value in truth.items():
         assert found[name] == pytest.approx(value, rel=2e-4), name
 

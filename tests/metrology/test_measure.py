@@ -10,10 +10,10 @@ from scipy import ndimage
 
 from semscape.errors import BadInputError, NoAnswerError
 from semscape.metrology.areal import height_parameters
-from semscape.metrology.grid import Region
+from semscape.metrology.grid import Polygon, Region
 from semscape.metrology.measure import measure, measure_change
 from semscape.metrology.prepare import prepared_surfaces
-from semscape.metrology.request import MeasureRequest, parse_edges, parse_line, parse_two_regions
+from semscape.metrology.request import MeasureRequest, parse_edges, parse_line, parse_region, parse_two_regions
 from semscape.metrology.resolution import PERIOD_PER_SIGMA
 from semscape.metrology.uncertainty import correlated_noise
 from semscape.options import MeasureOptions
@@ -274,3 +274,48 @@ def test_requests_that_cannot_be_met(options, message) -> None:
         MeasureRequest(MeasureOptions(**options))
     with pytest.raises(BadInputError, match="give --profile"):
         MeasureRequest(edges=(1.0,))
+
+
+def test_a_polygon_holds_what_lies_in_it_or_on_its_edges() -> None:
+    corners = np.array([(2, 1), (14, 1), (9, 6), (16, 12), (5, 15), (7, 8), (-3, 9)])  # concave, one corner outside
+    rows, cols = np.indices((17, 18))
+    inside = np.zeros(rows.shape, dtype=bool)
+    on_edge = np.zeros_like(inside)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        side = (cols - x0) * (y1 - y0) - (rows - y0) * (x1 - x0)  # whole numbers, and so exact
+        beside = (np.minimum(x0, x1) <= cols) & (cols <= np.maximum(x0, x1))
+        on_edge |= (side == 0) & beside & (np.minimum(y0, y1) <= rows) & (rows <= np.maximum(y0, y1))
+        inside ^= ((y0 > rows) != (y1 > rows)) & (side * (y1 - y0) < 0)
+    polygon = Polygon(tuple((float(x), float(y)) for x, y in corners))
+    np.testing.assert_array_equal(polygon.mask(rows.shape), inside | on_edge)
+    np.testing.assert_array_equal(polygon.shifted(2, 1).mask((16, 16)), (inside | on_edge)[1:, 2:])
+    np.testing.assert_array_equal(polygon.scaled(2).mask((34, 36))[::2, ::2], inside | on_edge)
+
+
+def test_a_polygon_around_a_rectangle_measures_as_the_rectangle() -> None:
+    box = Region(20, 30, 70, 90)
+    around = Polygon(((20.0, 30.0), (70.0, 30.0), (70.0, 90.0), (20.0, 90.0)))
+    other = Region(90, 30, 130, 90)
+    assert values(run(terrain(), region=around)) == pytest.approx(values(run(terrain(), region=box)), nan_ok=True)
+    by_polygon = run(terrain(), step=(around, other))
+    assert values(by_polygon)["step/height"] == values(run(terrain(), step=(box, other)))["step/height"]
+
+
+def test_what_is_beside_a_polygon_is_not_unknown() -> None:
+    z = terrain()
+    z[50:52, 50:52] = np.nan
+    triangle = Polygon(((20.0, 20.0), (120.0, 20.0), (20.0, 120.0)))
+    found = run(z, region=triangle)
+    assert values(found)["area and volume/unknown area"] == pytest.approx(4 * 0.1**2)
+    assert values(found)["area and volume/projected area"] == pytest.approx(0.1**2 * (100 * 99 / 2 - 9))
+    assert not [told for told in found.warnings if "unknown" in told]
+
+
+def test_texts_of_polygons() -> None:
+    assert parse_region("--region", "0,0,8,0,0,8", 0.5, "px") == Polygon(((0.0, 0.0), (8.0, 0.0), (0.0, 8.0)))
+    assert parse_region("--region", "0,0,8,0,0,8um", 0.5, "um") == Polygon(((0.0, 0.0), (16.0, 0.0), (0.0, 16.0)))
+    assert parse_region("--region", "1,2,3,4", 0.5, "px") == Region(1.0, 2.0, 3.0, 4.0)
+    with pytest.raises(BadInputError, match="three corners"):
+        parse_region("--region", "0,0,8,0,0,8,1", 0.5, "px")
+    with pytest.raises(BadInputError, match="no pixel size"):
+        parse_region("--region", "0,0,8,0,0,8um", 1.0, "px")

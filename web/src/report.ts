@@ -7,7 +7,8 @@ async function start(): Promise<void> {
   const carried = document.getElementById("semscape-surface");
   if (!place || !carried) return;
   const text = atob((carried.textContent ?? "").trim());
-  const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+  const bytes = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
   carried.remove();
   place.addEventListener("semscape-theme", (event) => {
     document.documentElement.dataset.theme = (event as CustomEvent<string>).detail;

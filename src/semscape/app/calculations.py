@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -15,13 +17,14 @@ from PIL import Image
 
 from semscape.app.workspace import UnknownRunError
 from semscape.batch.folder_run import reconstruct_folder
+from semscape.errors import BadInputError
 from semscape.io.finished_run import FinishedRun, read_finished_run, read_finished_views
 from semscape.io.inspect import describe_series
 from semscape.io.micrograph import read_micrograph
-from semscape.io.run_folder import plain_json, put_files
+from semscape.io.run_folder import plain_json
 from semscape.io.series import load_series
 from semscape.io.value_file import decode_value
-from semscape.metrology.grid import Region
+from semscape.metrology.grid import Polygon, Region, region_of
 from semscape.metrology.request import MeasureRequest
 from semscape.options import ConvertOptions, MeasureOptions, Options
 from semscape.report.conversion import convert
@@ -73,13 +76,13 @@ def draw_image(path: Path, longest_px: int, target: Path) -> None:
     picture.thumbnail((longest_px, longest_px), Image.Resampling.BOX)
     stream = io.BytesIO()
     picture.save(stream, "png", optimize=True)
-    put_files({target.name: stream.getvalue()}, target.parent)
+    _put(stream.getvalue(), target)
 
 
 def draw_thumbnail(run: Path, target: Path) -> None:
     """Write a small PNG of a finished run's shaded relief."""
     height_map = _finished(run).height_map
-    put_files({target.name: thumbnail_png(height_map, THUMBNAIL_PX)}, target.parent)
+    _put(thumbnail_png(height_map, THUMBNAIL_PX), target)
 
 
 def sparse_points(work: Path) -> bytes:
@@ -118,7 +121,7 @@ def write_surface(run: Path, target: Path) -> None:
         points_um=points,
         height_scale_relative_sigma=finished.height_scale_relative_sigma,
     )
-    put_files({target.name: surface}, target.parent)
+    _put(surface, target)
 
 
 def measured(run: Path, settings: Mapping[str, Any], places: Mapping[str, Any]) -> dict[str, Any]:
@@ -130,7 +133,8 @@ def measured(run: Path, settings: Mapping[str, Any], places: Mapping[str, Any]) 
     settings : mapping
         Of `MeasureOptions`.
     places : mapping
-        `region`, `profile`, `distance` as (x0, y0, x1, y1) px, `step` and `angle` as two of them, `edges`.
+        `profile`, `distance` as (x0, y0, x1, y1) px, `region` likewise or with all corners of a polygon, `step` and
+        `angle` as two of these, `edges`.
 
     Raises
     ------
@@ -139,7 +143,7 @@ def measured(run: Path, settings: Mapping[str, Any], places: Mapping[str, Any]) 
     """
     request = MeasureRequest(
         options=MeasureOptions(**settings),
-        region=_region(places.get("region")),
+        region=_region(places["region"]) if places.get("region") else None,
         profile=_line(places.get("profile")),
         edges=tuple(places.get("edges") or ()),
         step=_two_regions(places.get("step")),
@@ -174,6 +178,14 @@ def exported(run: Path, format_name: str, settings: Mapping[str, Any], images: P
     return archive
 
 
+def _put(content: bytes, target: Path) -> None:
+    """Put a file of the cache in place. Others are being written beside it, by other processes: those stay alone."""
+    descriptor, partial = tempfile.mkstemp(prefix=".partial-", dir=target.parent)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(content)
+    Path(partial).replace(target)
+
+
 def _finished(run: Path) -> FinishedRun:
     archive = run / "height_map.npz"
     try:
@@ -196,15 +208,12 @@ def _line(place: Sequence[float] | None) -> tuple[float, float, float, float] | 
     return x0, y0, x1, y1
 
 
-def _region(place: Sequence[float] | None) -> Region | None:
-    line = _line(place)
-    return None if line is None else Region(*line)
+def _region(places: Sequence[float]) -> Region | Polygon:
+    try:
+        return region_of([float(value) for value in places])
+    except ValueError as error:
+        raise BadInputError(str(error)) from error
 
 
-def _two_regions(places: Sequence[Sequence[float]] | None) -> tuple[Region, Region] | None:
-    if places is None:
-        return None
-    first, second = (_line(place) for place in places)
-    if first is None or second is None:
-        return None
-    return Region(*first), Region(*second)
+def _two_regions(places: Sequence[Sequence[float]] | None) -> tuple[Region | Polygon, Region | Polygon] | None:
+    return None if places is None else (_region(places[0]), _region(places[1]))

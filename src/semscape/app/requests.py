@@ -10,7 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from semscape.options import ConvertOptions, MeasureOptions
 
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
-Place = Annotated[list[Finite], Field(min_length=4, max_length=4, description="x0, y0, x1, y1 in px of the image")]
+Line = Annotated[list[Finite], Field(min_length=4, max_length=4, description="x0, y0, x1, y1 in px of the image")]
+Area = Annotated[
+    list[Finite],
+    Field(min_length=4, max_length=400, description="opposite corners of a rectangle, or all of a polygon: x, y in px"),
+]
 
 
 class _Body(BaseModel):
@@ -46,11 +50,11 @@ class MeasureQuestion(_Body):
     l_filter_um: Annotated[float, Field(gt=0, le=1e9)] | None = None
     outlier_sigmas: Annotated[float, Field(gt=0, le=1e6)] | None = None
     volume_level_um: Finite = 0.0
-    region: Place | None = None
-    profile: Place | None = None
-    distance: Place | None = None
-    step: Annotated[list[Place], Field(min_length=2, max_length=2)] | None = None
-    angle: Annotated[list[Place], Field(min_length=2, max_length=2)] | None = None
+    region: Area | None = None
+    profile: Line | None = None
+    distance: Line | None = None
+    step: Annotated[list[Area], Field(min_length=2, max_length=2)] | None = None
+    angle: Annotated[list[Area], Field(min_length=2, max_length=2)] | None = None
     edges: Annotated[list[Finite], Field(max_length=2)] = Field(default_factory=list)
 
     def settings(self) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from semscape.app.desk import Desk
 from semscape.app.exports import FORMAT_NAMES
 from semscape.app.names import displayed_name
 from semscape.app.plain_words import plain_words
+from semscape.app.removed import RemovedRun, remove_run, removed_runs, restore_run
 from semscape.app.requests import CellEdit, MeasureQuestion, NewRun, ReconstructRequest, convert_settings
 from semscape.app.run_queue import RunQueue
 from semscape.app.security import REPORT_POLICY
@@ -53,6 +54,19 @@ class AppState(BaseModel):
     max_run_mb: int
     formats: list[str] = Field(description="Of the exports")
     runs: list[Summary]
+
+
+class Removed(BaseModel):
+    """A run that was put aside."""
+
+    key: str = Field(description="Name of its folder in `removed`")
+    title: str
+    removed_s: float = Field(description="When that was, in s since 1970")
+
+    @classmethod
+    def of(cls, run: RemovedRun) -> Removed:
+        """Describe one."""
+        return cls(key=run.folder.name, title=run.title, removed_s=run.removed_s)
 
 
 @dataclass(frozen=True)
@@ -157,11 +171,22 @@ def run_routes(parts: Parts) -> APIRouter:
             title = displayed_name(body.title) or run.name
             return parts.summary(workspace.put_state(run, replace(run.state, title=title)))
 
-    @router.delete("/runs/{name}", status_code=204, responses=changing)
-    def remove(name: str) -> None:
+    @router.delete("/runs/{name}", responses=changing)
+    def remove(name: str) -> Removed:
         """Move a run to the folder `removed` of the workspace."""
         with queue.lock:
-            workspace.remove(workspace.run(name))
+            return Removed.of(remove_run(workspace, workspace.run(name)))
+
+    @router.get("/removed")
+    def removed() -> list[Removed]:
+        """Return the runs in the folder `removed`, the last one first."""
+        return [Removed.of(run) for run in removed_runs(workspace)]
+
+    @router.post("/removed/{key}/restore", responses=of_a_run)
+    def restore(key: str) -> Summary:
+        """Bring a removed run back."""
+        with queue.lock:
+            return parts.summary(restore_run(workspace, key))
 
     @router.put(
         "/runs/{name}/files",

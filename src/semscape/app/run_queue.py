@@ -117,7 +117,7 @@ class RunQueue:
             job = self._jobs.get(name)
             if job is not None:
                 self._cancelled.add(name)
-            run = self._put(run, "cancelled", "cancelled; what is finished is kept, and Reconstruct goes on from there")
+            run = self._put(run, "cancelled", "cancelled; what is finished is kept, and Go on continues there")
         if job is not None:
             job.stop()
         return run

@@ -13,6 +13,7 @@ from anyio import to_thread
 
 from semscape.app.app_options import AppOptions
 from semscape.app.names import displayed_name, stored_name
+from semscape.app.removed import put_aside
 from semscape.app.run_queue import RunQueue
 from semscape.app.told import History, for_stored_names, parse_told, read_told, write_told
 from semscape.app.workspace import Run, UnknownRunError, Workspace
@@ -95,7 +96,7 @@ async def take_file(
 
 
 def remove_file(workspace: Workspace, queue: RunQueue, name: str, stored: str) -> Run:
-    """Take an image out of a run, with the text beside it.
+    """Put an image of a run aside, with the text beside it.
 
     Raises
     ------
@@ -111,8 +112,8 @@ def remove_file(workspace: Workspace, queue: RunQueue, name: str, stored: str) -
             raise UnknownRunError("there is no such image in this run")
         stem = Path(stored).stem
         shared = any(Path(other).stem == stem for other in names if other != stored)
-        for kept in [stored, *(kept for kept in run.originals() if Path(kept).stem == stem and not shared)]:
-            (images / kept).unlink(missing_ok=True)
+        beside = [kept for kept in run.originals() if kept != stored and Path(kept).stem == stem and not shared]
+        put_aside(workspace, run, [images / kept for kept in (stored, *beside)])
         write_told(images, read_told(images).without_image(stored))
         originals = {kept: told for kept, told in run.state.originals.items() if (images / kept).exists()}
         return workspace.put_state(run, replace(run.state, originals=originals, history=History(), edited=True))

@@ -14,7 +14,6 @@ import json
 import os
 import shutil
 import stat
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,6 @@ from semscape.app.names import displayed_name, run_name
 from semscape.app.run_state import RunState, read_state, write_state
 from semscape.errors import BadInputError
 from semscape.io.image_file import IMAGE_SUFFIXES
-from semscape.io.lock import LOCK_NAME, is_locked
 from semscape.io.run_folder import RUN_FORMAT, WORK_NAME, make_folder
 from semscape.io.series import natural_key
 from semscape.io.series_toml import SIDECAR_NAME
@@ -135,31 +133,16 @@ class Workspace:
 
     def create(self, title: str) -> Run:
         """Make a run without images."""
-        taken = [*_entries(self.folder), *_entries(self._images), IMAGES_NAME, REMOVED_NAME]
-        name = run_name(title, taken)
+        name = run_name(title, self._taken_names())
         folder = make_folder(self._images / name)
         write_state(folder, RunState(title=displayed_name(title) or name))
         return self._run(name)
 
-    def remove(self, run: Run) -> None:
-        """Move a run and its images to the folder `removed`: only a person deletes for good.
-
-        Raises
-        ------
-        BusyRunError
-            If it waits or is being made.
-        """
-        run.require_idle()
-        if (run.folder / LOCK_NAME).is_file() and is_locked(run.folder):
-            raise BusyRunError("another program is making this run; wait for its end")
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        target = make_folder(self.folder / REMOVED_NAME / f"{run.name}-{stamp}-{time.time_ns() % 1_000_000:06d}")
-        try:
-            for source, name in ((run.images, IMAGES_NAME), (run.folder, "run")):
-                if source is not None and source.is_dir():
-                    source.rename(target / name)
-        except OSError as error:
-            raise BadInputError(f"{run.name} cannot be removed: {error.strerror or error}") from error
+    def free_name(self, name: str) -> str:
+        """Return the name of a run that was here before, or one like it where it is taken by now."""
+        taken = self._taken_names()
+        is_free = not name.startswith(".") and name.casefold() not in {item.casefold() for item in taken}
+        return name if is_free else run_name(name, taken)
 
     def put_state(self, run: Run, state: RunState) -> Run:
         """Remember a run's state and return the run with it."""
@@ -194,6 +177,9 @@ class Workspace:
     def clear_cache(self) -> None:
         """Remove everything that can be made again."""
         shutil.rmtree(self.app_folder / "cache", ignore_errors=True)
+
+    def _taken_names(self) -> list[str]:
+        return [*_entries(self.folder), *_entries(self._images), IMAGES_NAME, REMOVED_NAME]
 
     def _run(self, name: str) -> Run:
         images = self._images / name

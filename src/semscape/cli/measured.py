@@ -23,7 +23,9 @@ def measure(
     s_filter_um: Annotated[float | None, typer.Option(metavar="UM", help="S-filter: shorter waves go.")] = None,
     l_filter_um: Annotated[float | None, typer.Option(metavar="UM", help="L-filter: longer waves go.")] = None,
     outliers: Annotated[float | None, typer.Option(metavar="N", help="Set heights beyond N sigmas unknown.")] = None,
-    region: Annotated[str | None, typer.Option(metavar="X0,Y0,X1,Y1", help="Part to measure." + _PLACE)] = None,
+    region: Annotated[
+        str | None, typer.Option(metavar="X0,Y0,X1,Y1", help="Part to measure; more corners: a polygon." + _PLACE)
+    ] = None,
     profile: Annotated[str | None, typer.Option(metavar="X0,Y0,X1,Y1", help="Line of a profile." + _PLACE)] = None,
     edges: Annotated[str | None, typer.Option(metavar="D[,D]", help="Step or groove along the profile.")] = None,
     step: Annotated[str | None, typer.Option(metavar="REGION;REGION", help="Step between regions." + _PLACE)] = None,

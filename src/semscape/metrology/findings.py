@@ -11,7 +11,7 @@ import numpy as np
 from semscape.metrology.resolution import LateralResolution
 from semscape.metrology.uncertainty import Estimate
 from semscape.options import MeasureOptions
-from semscape.types import FloatArray, LengthUnit
+from semscape.types import BoolArray, FloatArray, LengthUnit
 
 # Dimension and meaning of every figure; "L" is the map's unit of length.
 _FIGURES: dict[str, tuple[str, str]] = {
@@ -104,6 +104,7 @@ def figures_of(
 def surface_warnings(
     figures: tuple[Figure, ...],
     matched: FloatArray,
+    inside: BoolArray,
     resolution: LateralResolution,
     options: MeasureOptions,
     *,
@@ -135,13 +136,15 @@ def surface_warnings(
         )
     if math.isnan(value["Sq"].sigma):
         warnings.append("no uncertainties: the run does not state that of its heights or of its height scale")
-    unknown = 1 - float(np.isfinite(matched).mean())
+    unknown = 1 - float(np.isfinite(matched[inside]).mean())
     if unknown > _NOTABLE_UNKNOWN:
         warnings.append(
             f"{unknown:.0%} of the field is unknown and left out; what is hidden there is not in the figures"
         )
     if n_outliers:
-        warnings.append(f"{n_outliers} outliers ({n_outliers / matched.size:.2%} of the field) were set unknown")
+        warnings.append(
+            f"{n_outliers} outliers ({n_outliers / np.count_nonzero(inside):.2%} of the field) were set unknown"
+        )
     shorter = (min(matched.shape) - 1) * pixel
     if math.isnan(value["Str"].value):
         warnings.append("no Str: in some direction the autocorrelation stays above 0.2 over half the field")

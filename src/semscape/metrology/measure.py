@@ -17,7 +17,7 @@ import numpy as np
 from semscape.errors import BadInputError, NoAnswerError
 from semscape.metrology.areal import developed_area_ratio, developed_areas, height_parameters, root_mean_square_slope
 from semscape.metrology.findings import Figure, figures_of, surface_warnings
-from semscape.metrology.grid import Region
+from semscape.metrology.grid import Polygon, Region
 from semscape.metrology.material_ratio import material_ratio_parameters
 from semscape.metrology.outliers import find_outliers
 from semscape.metrology.planes import angle_between, fit_plane
@@ -30,7 +30,7 @@ from semscape.metrology.resolution import LateralResolution, lateral_resolution
 from semscape.metrology.spatial import spatial_parameters
 from semscape.metrology.step import Step, step_between_regions
 from semscape.metrology.volume import distance, volumes
-from semscape.types import FloatArray, HeightMap
+from semscape.types import BoolArray, FloatArray, HeightMap
 
 _SAME_PIXEL_SIZE = 1e-3
 _ROUNDING = 1e-6  # of a px: two maps that are the same differ by that
@@ -76,8 +76,9 @@ def measure(
         If too few heights are known where something is to be measured.
     """
     options, pixel = request.options, height_map.pixel_size_um
-    window = _window(height_map, request.region)
-    matched, uncertainty = height_map.height_um[window], height_map.uncertainty_um[window]
+    window, inside = _window(height_map, request.region)
+    matched = np.where(inside, height_map.height_um[window], np.nan)
+    uncertainty = height_map.uncertainty_um[window]
     origin = int(window[1].start or 0), int(window[0].start or 0)
     stated = height_map.lateral_period_um[window][np.isfinite(matched)]
     resolution = lateral_resolution(height_map.height_um, pixel, stated)
@@ -96,7 +97,8 @@ def measure(
     contents = volumes(smooth, pixel, options.volume_level_um)
     slopes = {"Sdq": root_mean_square_slope(rough, pixel), "Sdr": developed_area_ratio(rough, pixel)}
     areas = {"projected area": projected, "developed area": developed}
-    areas |= {"volume above": contents.above, "volume below": contents.below, "unknown area": contents.unknown_area}
+    unknown_area = np.count_nonzero(inside & ~np.isfinite(smooth)) * pixel**2
+    areas |= {"volume above": contents.above, "volume below": contents.below, "unknown area": unknown_area}
     groups: dict[str, dict[str, float]] = {
         "height": height_parameters(rough),
         "slope": slopes,
@@ -125,7 +127,9 @@ def measure(
         apart = distance(matched, pixel, ends[0], ends[1])
         groups["distance"] = {"lateral": apart.lateral, "vertical": apart.vertical, "spatial": apart.spatial}
     figures = tuple(figure for group, values in groups.items() for figure in figures_of(group, values, unit, estimates))
-    warnings = surface_warnings(figures, matched, resolution, options, pixel=pixel, unit=unit, n_outliers=n_outliers)
+    warnings = surface_warnings(
+        figures, matched, inside, resolution, options, pixel=pixel, unit=unit, n_outliers=n_outliers
+    )
     return Measurement(figures, warnings, resolution, rough, origin, profile)
 
 
@@ -167,11 +171,11 @@ def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Fig
     return figures_of("change", values, unit), replace(comparison, difference=change)
 
 
-def _window(height_map: HeightMap, region: Region | None) -> tuple[slice, slice]:
-    """Return the rows and columns of the map that are measured."""
-    if region is None:
-        return slice(None), slice(None)
+def _window(height_map: HeightMap, region: Region | Polygon | None) -> tuple[tuple[slice, slice], BoolArray]:
+    """Return the rows and columns of the box around what is measured, and where in it that lies."""
     height, width = height_map.height_um.shape
+    if region is None:
+        return (slice(None), slice(None)), np.ones((height, width), dtype=bool)
     inside = region.mask((height, width))
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if min(len(rows), len(cols)) < 2:
@@ -179,7 +183,8 @@ def _window(height_map: HeightMap, region: Region | None) -> tuple[slice, slice]
             f"the region covers {len(cols)} x {len(rows)} px of the map, which is {width} x {height} px; choose a "
             "larger one"
         )
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
+    window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
+    return window, inside[window]
 
 
 def _shifted(request: MeasureRequest, origin: tuple[int, int]) -> MeasureRequest:
@@ -189,11 +194,10 @@ def _shifted(request: MeasureRequest, origin: tuple[int, int]) -> MeasureRequest
     def line(places: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
         return None if places is None else (places[0] - x, places[1] - y, places[2] - x, places[3] - y)
 
-    def two(regions: tuple[Region, Region] | None) -> tuple[Region, Region] | None:
-        if regions is None:
-            return None
-        first, second = (Region(r.x0_px - x, r.y0_px - y, r.x1_px - x, r.y1_px - y) for r in regions)
-        return first, second
+    def two(
+        regions: tuple[Region | Polygon, Region | Polygon] | None,
+    ) -> tuple[Region | Polygon, Region | Polygon] | None:
+        return None if regions is None else (regions[0].shifted(x, y), regions[1].shifted(x, y))
 
     return replace(
         request,

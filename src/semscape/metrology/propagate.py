@@ -20,7 +20,6 @@ import numpy as np
 from semscape.errors import NoAnswerError
 from semscape.metrology.areal import mean_heights
 from semscape.metrology.filters import GAUSSIAN_ALPHA
-from semscape.metrology.grid import Region
 from semscape.metrology.prepare import prepared_surfaces
 from semscape.metrology.profile import Profile, extract_profile, sample_heights
 from semscape.metrology.request import MeasureRequest
@@ -112,15 +111,15 @@ def step_estimates(
     found: dict[str, Estimate] = {}
     named: dict[str, Any] = {"scale_relative_sigma": errors.scale, "draws": request.options.draws, "rng": rng}
     if request.step is not None:
-        corners = np.array([(r.x0_px, r.y0_px, r.x1_px, r.y1_px) for r in request.step]).reshape(2, 2, 2)
-        first = np.clip(np.floor(corners.min(axis=(0, 1))), 0, None).astype(int)
-        last = np.clip(np.ceil(corners.max(axis=(0, 1))), 0, None).astype(int)
-        fitting = int(np.abs(corners[:, 1] - corners[:, 0]).min()) // _LEAST_SAMPLES
+        boxes = np.array([region.box() for region in request.step])
+        first = np.clip(np.floor(boxes.min(axis=(0, 1))), 0, None).astype(int)
+        last = np.clip(np.ceil(boxes.max(axis=(0, 1))), 0, None).astype(int)
+        fitting = int((boxes[:, 1] - boxes[:, 0]).min()) // _LEAST_SAMPLES
         stride = math.ceil(math.sqrt(float(np.prod(last - first + 1.0)) / _MONTE_CARLO_PIXELS))
         stride = max(1, min(stride, max(int(2 * errors.correlation_px), fitting)))
         part = slice(first[1], last[1] + 1, stride), slice(first[0], last[0] + 1, stride)
         thinned = matched[part]
-        moved = [Region(*((corner - first) / stride).ravel()) for corner in corners]
+        moved = [region.shifted(*first).scaled(1 / stride) for region in request.step]
         masks = [region.mask((thinned.shape[0], thinned.shape[1])) for region in moved]
 
         def height(heights: FloatArray) -> dict[str, float]:

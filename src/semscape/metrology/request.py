@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import get_args
 
 from semscape.errors import BadInputError
-from semscape.metrology.grid import Region
+from semscape.metrology.grid import Polygon, Region, region_of
 from semscape.metrology.level import FormName
 from semscape.options import MeasureOptions
 from semscape.types import LengthUnit
@@ -24,11 +24,11 @@ class MeasureRequest:
     """
 
     options: MeasureOptions = field(default_factory=MeasureOptions)
-    region: Region | None = None
+    region: Region | Polygon | None = None
     profile: Line | None = None
     edges: tuple[float, ...] = ()
-    step: tuple[Region, Region] | None = None
-    angle: tuple[Region, Region] | None = None
+    step: tuple[Region | Polygon, Region | Polygon] | None = None
+    angle: tuple[Region | Polygon, Region | Polygon] | None = None
     distance: Line | None = None
 
     def __post_init__(self) -> None:
@@ -73,13 +73,34 @@ def parse_line(flag: str, text: str, pixel_size: float, unit: LengthUnit) -> Lin
     return x0, y0, x1, y1
 
 
-def parse_region(flag: str, text: str, pixel_size: float, unit: LengthUnit) -> Region:
-    """Return the rectangle of a text with two opposite corners (see parse_line)."""
-    return Region(*parse_line(flag, text, pixel_size, unit))
+def parse_region(flag: str, text: str, pixel_size: float, unit: LengthUnit) -> Region | Polygon:
+    """Return the rectangle of a text with two opposite corners (see parse_line), the polygon of one with more.
+
+    Raises
+    ------
+    BadInputError
+        If the text is neither, or in um for a map without a pixel size.
+
+    Examples
+    --------
+    >>> parse_region("--region", "0,0,8,0,0,8", 0.5, "um")
+    Polygon(corners_px=((0.0, 0.0), (8.0, 0.0), (0.0, 8.0)))
+    """
+    numbers, suffix = _numbers(text)
+    if len(numbers) < 6:
+        return Region(*parse_line(flag, text, pixel_size, unit))
+    if suffix == "um" and unit != "um":
+        raise BadInputError(f"{flag} {text!r} is in um, but the run has no pixel size; give px")
+    try:
+        return region_of([number / pixel_size if suffix == "um" else number for number in numbers])
+    except ValueError as error:
+        raise BadInputError(f"{flag} {text!r}: {error}") from error
 
 
-def parse_two_regions(flag: str, text: str, pixel_size: float, unit: LengthUnit) -> tuple[Region, Region]:
-    """Return the two rectangles of a text like "10,10,90,90;110,10,190,90" (see parse_line)."""
+def parse_two_regions(
+    flag: str, text: str, pixel_size: float, unit: LengthUnit
+) -> tuple[Region | Polygon, Region | Polygon]:
+    """Return the two regions of a text like "10,10,90,90;110,10,190,90" (see parse_region)."""
     parts = text.split(";")
     if len(parts) != 2:
         raise BadInputError(f"{flag} {text!r} is not two regions x0,y0,x1,y1;x0,y0,x1,y1")

@@ -67,15 +67,25 @@ def _small(png: bytes) -> bytes:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table whose first column is text and whose other columns are figures."""
-    titles = f"<th>{escape(head[0])}</th>" + "".join(f'<th class="num">{escape(title)}</th>' for title in head[1:])
+    """Return a table whose first column names its rows; others hold figures, or words where no cell has a digit."""
+    rows = [list(row) for row in rows]
+    columns = zip(*rows, strict=True)
+    kinds = ["" if _are_words(cells) else ' class="num"' for cells in columns] or [' class="num"'] * len(head)
+    titles = f"<th>{escape(head[0])}</th>" + "".join(
+        f"<th{kind}>{escape(title)}</th>" for title, kind in zip(head[1:], kinds[1:], strict=True)
+    )
     body = "".join(
         f'<tr><th scope="row">{escape(row[0])}</th>'
-        + "".join(f'<td class="num">{escape(cell)}</td>' for cell in row[1:])
+        + "".join(f"<td{kind}>{escape(cell)}</td>" for cell, kind in zip(row[1:], kinds[1:], strict=True))
         + "</tr>"
         for row in rows
     )
     return f'<div class="scroll"><table><thead><tr>{titles}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _are_words(cells: Iterable[str]) -> bool:
+    text = "".join(cells)
+    return any(letter.isalpha() for letter in text) and not any(letter.isdigit() for letter in text)
 
 
 def plus_minus(text: str) -> str:

@@ -113,7 +113,7 @@ summary { cursor: pointer; }
   .surface > h2 { padding: 0; }
   #semscape-viewer { display: none; }
   .scroll { overflow: visible; }
-  h2 { break-after: avoid; }
+  h2, h3 { break-after: avoid; }
   .surface .wide img { max-width: 125mm; }
   .pairs { grid-template-columns: 1fr 1fr; gap: 8px 12px; }
   pre { max-height: none; white-space: pre-wrap; }

@@ -39,6 +39,12 @@ export interface AppState {
   runs: Run[];
 }
 
+export interface Removed {
+  key: string;
+  title: string;
+  removed_s: number;
+}
+
 export type Cell = number | boolean | null;
 
 export interface Row {
@@ -127,7 +133,9 @@ export const api = {
   runs: () => json<Run[]>("GET", "/api/runs"),
   create: (title: string) => json<Run>("POST", "/api/runs", { title }),
   rename: (name: string, title: string) => json<Run>("PUT", address(name), { title }),
-  remove: async (name: string) => void (await ask("DELETE", address(name))),
+  remove: (name: string) => json<Removed>("DELETE", address(name)),
+  removed: () => json<Removed[]>("GET", "/api/removed"),
+  restore: (key: string) => json<Run>("POST", `/api/removed/${encodeURIComponent(key)}/restore`),
   upload: (name: string, file: File) =>
     json<Run>("PUT", `${address(name, "files")}?filename=${encodeURIComponent(file.name)}`, file),
   removeImage: (name: string, image: string) => json<Run>("DELETE", address(name, "files", image)),

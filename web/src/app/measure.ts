@@ -1,8 +1,9 @@
 /** ISO 25178 parameters of the whole surface or a region, and steps between regions, as semscape.metrology has them. */
 
-import type { Surface, ViewerState } from "../viewer";
+import { closedRings, NO_MARKS, type Marks, type Surface, type ViewerState } from "../viewer";
 import { api, type Figure, type Measurement } from "./api";
 import { button, el, fill } from "./dom";
+import { keepFields, keepValue, keptValue } from "./kept";
 import type { Notices } from "./notice";
 import { save } from "./save";
 import { unique } from "./upload";
@@ -17,6 +18,8 @@ const FORMS: [string, string][] = [
   ["none", "nothing"],
 ];
 
+const A_REGION = "A region is two opposite corners in px, like 100, 200, 300, 400, or all corners of a polygon.";
+
 export class Measure {
   readonly root: HTMLElement;
   private readonly level = el("select", { id: unique() }, ...FORMS.map(([value, text]) => el("option", { value }, text)));
@@ -29,13 +32,15 @@ export class Measure {
   private readonly second = textField(20);
   private readonly answer = el("div", { "aria-live": "polite" });
   private readonly stride: number;
-  private last: Measurement | null = null;
+  private readonly keep: () => void;
+  private last: Measurement | null;
 
   constructor(
     private readonly name: string,
     private readonly notices: Notices,
     surface: Surface,
     private readonly drawn: () => ViewerState,
+    private readonly revision: string,
   ) {
     this.stride = surface.stride;
     const length = unitText(surface.unit);
@@ -45,10 +50,10 @@ export class Measure {
       labelled("Level by taking off", this.level),
       labelled("S-filter", this.sFilter, `${length}; shorter waves go`),
       labelled("L-filter", this.lFilter, `${length}; longer waves go`),
-      labelled("Region", this.region, "x0, y0, x1, y1 in px; all where empty"),
+      labelled("Region", this.region, "x0, y0, x1, y1 in px, or all corners of a polygon; the whole where empty"),
       labelled("Profile from, to", this.profile, "x0, y0, x1, y1 in px"),
-      labelled("Step from region", this.first, "x0, y0, x1, y1 in px"),
-      labelled("Step to region", this.second, "x0, y0, x1, y1 in px"),
+      labelled("Step from region", this.first, "x0, y0, x1, y1 in px, or all corners"),
+      labelled("Step to region", this.second, "x0, y0, x1, y1 in px, or all corners"),
       el("div", { class: "field check" }, this.robust, el("label", { for: this.robust.id }, "Level on the majority of the heights")),
     );
     const press = button("Measure", () => this.ask(), { class: "primary", type: "submit" });
@@ -61,23 +66,36 @@ export class Measure {
       form,
       this.answer,
     );
+    const fields = [this.level, this.robust, this.sFilter, this.lFilter, this.region, this.profile, this.first, this.second];
+    this.keep = keepFields(`measure ${this.name}`, fields);
+    this.last = keptValue<Measurement>(this.keyOfAnswer());
+    if (this.last) this.show(this.last);
+  }
+
+  private keyOfAnswer(): string {
+    return `measured ${this.name} ${this.revision}`;
   }
 
   /** Fill the fields with what is marked in the viewer: its regions and lines are those of its tool. */
   private takePlaces(): void {
-    const { tool, places } = this.drawn() as { tool?: string; places?: { x: number; y: number }[] };
-    const marked = (places ?? []).map(({ x, y }) => [x * this.stride, y * this.stride].map(Math.round).join(", "));
-    const line = (start: number): string => `${marked[start]}, ${marked[start + 1]}`;
-    if (tool === "step" && marked.length === 4) {
-      this.first.value = line(0);
-      this.second.value = line(2);
-    } else if (tool === "profile" && marked.length === 2) {
-      this.profile.value = line(0);
-    } else if ((tool === "region" || tool === "texture") && marked.length === 2) {
-      this.region.value = line(0);
+    const { tool, marks } = this.drawn() as { tool?: string; marks?: Marks };
+    const regions = closedRings(marks ?? NO_MARKS).map((ring) => this.text(ring));
+    if (tool === "step" && regions.length === 2) {
+      this.first.value = regions[0]!;
+      this.second.value = regions[1]!;
+    } else if (tool === "profile" && marks?.places.length === 2) {
+      this.profile.value = this.text(marks.places);
+    } else if ((tool === "region" || tool === "texture") && regions.length === 1) {
+      this.region.value = regions[0]!;
     } else {
-      this.notices.say("Nothing is marked yet: mark a profile, a step's two regions, or a region with the viewer's tools.");
+      return this.notices.say("Nothing is marked yet: mark a profile, a step's two regions, or a region with the viewer's tools.");
     }
+    this.keep();
+  }
+
+  /** Places of the viewer, in px of the run's map. */
+  private text(places: Marks["places"]): string {
+    return places.flatMap(({ x, y }) => [x * this.stride, y * this.stride].map(Math.round)).join(", ");
   }
 
   private async ask(): Promise<void> {
@@ -88,6 +106,7 @@ export class Measure {
     fill(this.answer);
     if (found === undefined) return;
     this.last = found;
+    keepValue(this.keyOfAnswer(), found);
     this.show(found);
   }
 
@@ -99,14 +118,17 @@ export class Measure {
       if (!(value > 0)) return this.refuse(input, "A filter is a positive length, like 2.5.");
       question[key] = value;
     }
-    for (const [key, input] of [["region", this.region], ["profile", this.profile]] as const) {
-      const place = numbers(input.value);
-      if (place === null) return this.refuse(input, "A place is four numbers in px, like 100, 200, 300, 400.");
-      if (place.length) question[key] = place;
+    const profile = numbers(this.profile.value);
+    if (profile === null || profile.length > 4) {
+      return this.refuse(this.profile, "A profile is four numbers in px, like 100, 200, 300, 400.");
     }
+    if (profile.length) question.profile = profile;
+    const region = numbers(this.region.value);
+    if (region === null) return this.refuse(this.region, A_REGION);
+    if (region.length) question.region = region;
     const [first, second] = [numbers(this.first.value), numbers(this.second.value)];
-    if (first === null || second === null || first.length !== second.length) {
-      return this.refuse(this.first, "A step needs two regions of four numbers each, like 100, 200, 300, 400.");
+    if (first === null || second === null || !first.length !== !second.length) {
+      return this.refuse(first ? this.second : this.first, `A step needs two regions. ${A_REGION}`);
     }
     if (first.length) question.step = [first, second];
     return question;
@@ -166,10 +188,11 @@ function labelled(title: string, field: HTMLElement, hint = ""): HTMLElement {
     hint ? el("span", { class: "quiet", id: `${field.id}-hint` }, hint) : null);
 }
 
-/** Four numbers of a text; none of an empty one, null of another. */
+/** Four numbers of a text, or three pairs and more; none of an empty one, null of another. */
 function numbers(text: string): number[] | null {
   if (!text.trim()) return [];
   const found = text.split(/[,;\s]+/).filter(Boolean).map(Number);
-  return found.length === 4 && found.every(Number.isFinite) ? found : null;
+  const isPlace = found.length === 4 || (found.length >= 6 && found.length % 2 === 0);
+  return isPlace && found.every(Number.isFinite) ? found : null;
 }
 

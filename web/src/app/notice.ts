@@ -6,10 +6,11 @@ import { button, el } from "./dom";
 export class Notices {
   readonly root = el("div", { class: "notices", role: "status", "aria-live": "polite" });
 
-  /** Say something; `kind` is its colour. */
-  say(text: string, kind: "info" | "bad" = "info"): void {
+  /** Say something; `kind` is its colour, `offer` a button beside it. */
+  say(text: string, kind: "info" | "bad" = "info", offer?: { title: string; take: () => Promise<void> }): void {
     for (const old of this.root.children) if (old.firstChild?.textContent === text) old.remove();
     const notice = el("div", { class: `notice ${kind}` }, el("p", {}, text));
+    if (offer) notice.append(button(offer.title, () => offer.take().finally(() => notice.remove())));
     notice.append(button("Close", () => notice.remove(), { class: "plain", "aria-label": "Close this message" }));
     this.root.append(notice);
     if (kind === "info") setTimeout(() => notice.remove(), 8000);

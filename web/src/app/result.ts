@@ -82,7 +82,7 @@ export class Result {
     const surface = await this.notices.attempt(() => decodeSurface(bytes));
     if (this.shown !== now || surface === undefined) return;
     surface.name = run.title;
-    this.root.append(new Measure(run.name, this.notices, surface, () => this.viewer?.state() ?? {}).root);
+    this.root.append(new Measure(run.name, this.notices, surface, () => this.viewer?.state() ?? {}, run.revision).root);
     fill(place);
     const key = `viewer ${now}`;
     const kept = sessionStorage.getItem(key);

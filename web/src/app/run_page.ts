@@ -3,6 +3,7 @@
 import { address, api, type AppState, type Run } from "./api";
 import { button, el, fill } from "./dom";
 import { ImagesTable } from "./images_table";
+import { keepFields } from "./kept";
 import type { Live } from "./live";
 import type { Notices } from "./notice";
 import { Progress } from "./progress";
@@ -95,6 +96,7 @@ export class RunPage {
       this.images.open = !run.has_result;
       this.mirror.checked = run.settings.includes(MIRROR);
       this.settings.value = run.settings.filter((setting) => setting !== MIRROR).join("\n");
+      keepFields(`settings ${run.name} ${run.settings.join(" ")}`, [this.mirror, this.settings]);
     }
     if (this.images.open || this.wasOpened) void this.table.update(run);
   }

@@ -1,6 +1,6 @@
 /** The first page: where images are dropped, and all runs. */
 
-import { address, api, type AppState, type Run } from "./api";
+import { address, api, type AppState, type Removed, type Run } from "./api";
 import { button, el, fill } from "./dom";
 import type { Live } from "./live";
 import type { Notices } from "./notice";
@@ -11,8 +11,10 @@ export class RunsPage {
   readonly root = el("div", { class: "page" });
   readonly title = "Runs";
   private readonly list = el("ul", { class: "runs" });
+  private readonly removed = el("details", { hidden: true });
   private readonly stop: () => void;
   private shown = "";
+  private listed: string | null = null;
 
   constructor(
     private readonly live: Live,
@@ -38,6 +40,7 @@ export class RunsPage {
       this.list,
       el("p", { class: "quiet" }, "Runs are folders in ", el("code", {}, state.workspace), ". What is made there by ",
         el("code", {}, "semscape reconstruct"), " is listed as well."),
+      this.removed,
     );
     this.stop = live.listen(() => this.update());
   }
@@ -57,6 +60,9 @@ export class RunsPage {
       this.list,
       ...(runs.length === 0 ? [el("li", { class: "quiet none" }, "There are none yet.")] : runs.map((run) => this.item(run))),
     );
+    const names = runs.map((run) => run.name).join("\n");
+    if (names !== this.listed) void this.listRemoved();
+    this.listed = names;
     if (focused) this.list.querySelector<HTMLElement>(`[data-focus="${CSS.escape(focused)}"]`)?.focus();
   }
 
@@ -93,11 +99,31 @@ export class RunsPage {
     return button(
       "Remove",
       async () => {
-        if (!confirm(`Move “${run.title}” to the folder “removed” of the workspace?`)) return;
-        await this.notices.attempt(() => api.remove(run.name));
+        const gone = await this.notices.attempt(() => api.remove(run.name));
         await this.live.refresh();
+        if (gone) this.notices.say(`“${gone.title}” was removed.`, "info", { title: "Undo", take: () => this.restore(gone) });
       },
       { class: "plain", ...label("Remove") },
+    );
+  }
+
+  private async restore(gone: Removed): Promise<void> {
+    await this.notices.attempt(() => api.restore(gone.key));
+    await this.live.refresh();
+  }
+
+  /** Show what was removed, which stays in the workspace until a person deletes it. */
+  private async listRemoved(): Promise<void> {
+    const removed = (await this.notices.attempt(() => api.removed())) ?? [];
+    this.removed.hidden = removed.length === 0;
+    fill(
+      this.removed,
+      el("summary", {}, `Removed runs (${removed.length})`),
+      el("p", { class: "quiet" }, "They are in the folder “removed” of the workspace; delete them there."),
+      el("ul", { class: "removed" }, ...removed.map((gone) =>
+        el("li", { class: "row" },
+          el("span", { class: "grow" }, gone.title, " ", el("span", { class: "quiet" }, new Date(1000 * gone.removed_s).toLocaleString())),
+          button("Restore", () => this.restore(gone), { "aria-label": `Restore ${gone.title}` })))),
     );
   }
 }

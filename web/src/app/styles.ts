@@ -84,6 +84,9 @@ details .drop { padding: 0.8rem; }
 .run .name { font-weight: 650; font-size: 1.05rem; text-decoration: none; }
 .run .name:hover { text-decoration: underline; }
 .told { display: -webkit-box; -webkit-line-clamp: 3; -webkit-box-orient: vertical; overflow: hidden; font-size: 0.92rem; }
+details:has(> ul.removed) { margin-top: 1.2rem; }
+ul.removed { list-style: none; padding: 0; max-width: 40rem; }
+ul.removed li { padding: 0.3rem 0; border-bottom: 1px solid var(--line); }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; width: 100%; font-size: 0.95rem; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: 0.35rem 0.6rem; border-bottom: 1px solid var(--line); vertical-align: middle; }

@@ -29,13 +29,23 @@ export function inkOf(root: HTMLElement): Ink {
   };
 }
 
+function pixelsOf(canvas: HTMLCanvasElement): [number, number] {
+  const ratio = window.devicePixelRatio || 1;
+  return [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
+}
+
+/** Whether a canvas has the size of its place on the screen. */
+export function isFitted(canvas: HTMLCanvasElement): boolean {
+  const [width, height] = pixelsOf(canvas);
+  return canvas.width === width && canvas.height === height;
+}
+
 /** Fit a canvas to its place on the screen and return its pen, in CSS px; null where it has no size. */
 export function penOf(canvas: HTMLCanvasElement): CanvasRenderingContext2D | null {
   const ratio = window.devicePixelRatio || 1;
-  const width = Math.round(canvas.clientWidth * ratio);
-  const height = Math.round(canvas.clientHeight * ratio);
+  const [width, height] = pixelsOf(canvas);
   if (!width || !height) return null;
-  if (canvas.width !== width || canvas.height !== height) {
+  if (!isFitted(canvas)) {
     canvas.width = width;
     canvas.height = height;
   }

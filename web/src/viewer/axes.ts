@@ -3,13 +3,30 @@
 import { label, type Ink, type Pen2D } from "./annotate";
 import { worldAt } from "./grid";
 import { decimalsOf, fixed, ticks, tickStep, unitSign } from "./numbers";
+import type { Project } from "./overlay3d";
 import type { Surface } from "./types";
-import type { Project } from "./view3d";
 
 type Screen = [number, number];
 
+/** What z is stretched by stands above. */
+const TITLE_BELOW_PX = 50;
+const EDGE_PX = 6;
+
+/** Return a place for letters, moved to where the view does not cut them. */
+function inside(pen: Pen2D, text: string, x: number, y: number, width: number, height: number): Screen {
+  const letters = pen.measureText(text).width;
+  const before = { left: 0, center: 0.5, right: 1 }[pen.textAlign as "left" | "center" | "right"] * letters;
+  const size = 12;
+  const above = { top: 0, middle: 0.5, bottom: 1 }[pen.textBaseline as "top" | "middle" | "bottom"] * size;
+  return [
+    Math.min(width - EDGE_PX - letters + before, Math.max(EDGE_PX + before, x)),
+    Math.min(height - EDGE_PX - size + above, Math.max(EDGE_PX + above, y)),
+  ];
+}
+
 export function drawAxes(
-  pen: Pen2D, ink: Ink, surface: Surface, [low, high]: [number, number], project: Project, azimuthDeg: number, width: number,
+  pen: Pen2D, ink: Ink, surface: Surface, [low, high]: [number, number], project: Project, azimuthDeg: number,
+  [width, height]: [number, number],
 ): void {
   const { rows, cols } = surface;
   const azimuth = (azimuthDeg * Math.PI) / 180;
@@ -48,24 +65,25 @@ export function drawAxes(
     pen.textBaseline = out[1] > 0.35 ? "top" : out[1] < -0.35 ? "bottom" : "middle";
     for (const mark of marks) {
       const place = at(mark);
-      if (!place) continue;
+      if (!place || place[0] < 0 || place[1] < 0 || place[0] > width || place[1] > height) continue;
       stroke(place, [place[0] + 5 * out[0], place[1] + 5 * out[1]]);
+      const text = fixed(mark, decimals);
       pen.fillStyle = ink.quiet;
-      pen.fillText(fixed(mark, decimals), place[0] + 9 * out[0], place[1] + 9 * out[1]);
+      pen.fillText(text, ...inside(pen, text, place[0] + 9 * out[0], place[1] + 9 * out[1], width, height));
     }
     const title = `${name} (${sign})`;
     if (name === "z") {
-      // Above its axis: beside it there is little room.
-      pen.textAlign = "center";
+      // Above its axis: beside it there is little room. Where the axis leaves the view, at its edge.
+      const top = Math.max(to[1] - 10, TITLE_BELOW_PX);
+      const along = Math.min(1, Math.max(0, (from[1] - top) / Math.max(1, from[1] - to[1])));
+      const isCut = to[1] - 10 < top;
+      pen.textAlign = isCut ? "left" : "center";
       pen.textBaseline = "bottom";
-      label(pen, ink, title, Math.max(28, to[0]), to[1] - 10);
+      const x = isCut ? from[0] + along * (to[0] - from[0]) + 9 : to[0];
+      label(pen, ink, title, ...inside(pen, title, x, top, width, height));
       return;
     }
-    const letters = pen.measureText(title).width;
-    // Never beyond the view's edge, where it would be cut.
-    const before = { left: 0, center: 0.5, right: 1 }[pen.textAlign as "left" | "center" | "right"] * letters;
-    const x = Math.min(width - 6 - letters + before, Math.max(6 + before, half[0] + 38 * out[0]));
-    label(pen, ink, title, x, half[1] + 30 * out[1]);
+    label(pen, ink, title, ...inside(pen, title, half[0] + 38 * out[0], half[1] + 30 * out[1], width, height));
   };
   const m = surface.worldFromGrid;
   const worldX = (x: number): number => worldAt(surface, x, 0, 0)[0];

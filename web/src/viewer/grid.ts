@@ -8,13 +8,14 @@ export type Heights = Pick<Surface, "rows" | "cols" | "pixelSize" | "height">;
 /** Steeper than this is a jump in depth and no surface; the same as of the run's mesh (83 deg). */
 const STEEPEST_SLOPE = 8;
 
-/** Return the given share (0 to 1) of the known values' distribution, from at most about 200,000 of them. */
-export function percentiles(values: ArrayLike<number>, shares: number[]): number[] {
+/** Return the given shares (0 to 1) of the known values' distribution, from at most about 200,000 of them. */
+export function percentiles(values: Float32Array, shares: number[]): number[] {
   const step = Math.max(1, Math.floor(values.length / 200_000));
-  const known: number[] = [];
-  for (let i = 0; i < values.length; i += step) if (Number.isFinite(values[i])) known.push(values[i]);
-  if (!known.length) return shares.map(() => NaN);
-  const sorted = Float64Array.from(known).sort();
+  const some = new Float32Array(Math.ceil(values.length / step));
+  let count = 0;
+  for (let i = 0; i < values.length; i += step) if (Number.isFinite(values[i])) some[count++] = values[i];
+  if (!count) return shares.map(() => NaN);
+  const sorted = some.subarray(0, count).sort();
   return shares.map((share) => {
     const place = share * (sorted.length - 1);
     const first = Math.floor(place);

@@ -1,12 +1,12 @@
-/** Pointer, wheel and keys over the two views. */
+/** Pointer, wheel and keys over the view in three dimensions, and what the map's watcher shares with it. */
 
 import type { Eye } from "./camera";
-import type { Map2D } from "./map2d";
+import { canClose, cancelled, openPlaces, takenBack } from "./marks";
 import type { Viewer } from "./mount";
-import type { Place } from "./measure";
 import type { View3D } from "./view3d";
 
-const CLICK_PX = 4;
+/** A pointer that travels less between press and lift has clicked. */
+export const CLICK_PX = 4;
 const HANDLE_PX = 11;
 const TURN_DEG_PER_PX = 0.35;
 
@@ -19,21 +19,39 @@ export interface EyeMoves {
 }
 
 /** A wheel scrolls the page, unless the view has been clicked or Ctrl is held. */
-function wheelIsMeant(canvas: HTMLCanvasElement, event: WheelEvent): boolean {
+export function wheelIsMeant(canvas: HTMLCanvasElement, event: WheelEvent): boolean {
   return event.ctrlKey || event.metaKey || document.activeElement === canvas;
 }
 
-function wheelFactor(event: WheelEvent): number {
+export function wheelFactor(event: WheelEvent): number {
   const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
   return Math.exp(Math.min(1, Math.max(-1, event.deltaY * lines * 0.0016)));
 }
 
-/** Take a place for the tool: one more, or the first of a new measurement where it has all. */
-function mark(viewer: Viewer, place: Place): void {
-  const { asks } = viewer.tool();
-  if (!asks) return;
-  const places = viewer.places();
-  viewer.setPlaces(places.length < asks ? [...places, place] : [place]);
+/** Return the number of the mark that is at a place of a view in CSS px, -1 for none. */
+export function handleAt(viewer: Viewer, x: number, y: number, toScreen: (x: number, y: number) => [number, number] | null): number {
+  const sizes = viewer.marks().places.map((place) => {
+    const at = toScreen(place.x, place.y);
+    return at ? Math.hypot(at[0] - x, at[1] - y) : Infinity;
+  });
+  const nearest = sizes.indexOf(Math.min(...sizes));
+  return sizes[nearest] <= HANDLE_PX ? nearest : -1;
+}
+
+/** Whether a mark is one that closes the polygon that is drawn: its first corner, or its last for a double click. */
+export function closes(viewer: Viewer, index: number): boolean {
+  const marks = viewer.marks();
+  if (index < 0 || !canClose(viewer.tool(), viewer.shape(), marks)) return false;
+  return index === marks.places.length - openPlaces(marks).length || index === marks.places.length - 1;
+}
+
+/** Do what a key asks of the marks; false where it asks nothing of them. */
+export function markKey(viewer: Viewer, event: KeyboardEvent): boolean {
+  if (!viewer.marks().places.length) return false;
+  if (event.key === "Backspace") viewer.setMarks(takenBack(viewer.marks()));
+  else if (event.key === "Escape") viewer.setMarks(cancelled(viewer.marks()));
+  else return false;
+  return true;
 }
 
 export function watchView(view: View3D, viewer: Viewer, eyes: EyeMoves): void {
@@ -79,10 +97,12 @@ export function watchView(view: View3D, viewer: Viewer, eyes: EyeMoves): void {
     if (!pointers.delete(event.pointerId) || event.type !== "pointerup") return;
     if (travelled > CLICK_PX || event.button !== 0) return;
     const now = here(event);
+    const handle = handleAt(viewer, now.x, now.y, (x, y) => view.toScreen(x, y));
+    if (closes(viewer, handle)) return viewer.mark(viewer.marks().places[handle]);
     const found = view.pick(now.x, now.y);
     if (!found) return;
     viewer.setCursor({ x: found[0], y: found[1] });
-    mark(viewer, viewer.cursor()!);
+    viewer.mark(viewer.cursor()!);
   };
   canvas.addEventListener("pointerup", lift);
   canvas.addEventListener("pointercancel", lift);
@@ -107,115 +127,13 @@ export function watchView(view: View3D, viewer: Viewer, eyes: EyeMoves): void {
     else if (event.key === "+" || event.key === "=") setEye(eyes.zoomed(eye, 1 / 1.15));
     else if (event.key === "-") setEye(eyes.zoomed(eye, 1.15));
     else if (event.key === "0" || event.key === "Home") setEye(eyes.home(eye));
-    else return;
+    else if (!markKey(viewer, event)) return;
     event.preventDefault();
   });
 }
 
-export function watchMap(map: Map2D, viewer: Viewer): void {
-  const { canvas } = map;
-  let dragged: number | null = null;
-  let before: { x: number; y: number } | null = null;
-  let start = { x: 0, y: 0 };
-  let opened = false;
-  const here = (event: PointerEvent | WheelEvent): { x: number; y: number } => {
-    const box = canvas.getBoundingClientRect();
-    return { x: event.clientX - box.left, y: event.clientY - box.top };
-  };
-  const inside = (x: number, y: number): boolean =>
-    x >= -0.5 && y >= -0.5 && x <= viewer.surface.cols - 0.5 && y <= viewer.surface.rows - 0.5;
-  const handleAt = (x: number, y: number): number => {
-    const sizes = viewer.places().map((place) => {
-      const [left, top] = map.toScreen(place.x, place.y);
-      return Math.hypot(left - x, top - y);
-    });
-    const nearest = sizes.indexOf(Math.min(...sizes));
-    return sizes[nearest] <= HANDLE_PX ? nearest : -1;
-  };
-  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("pointerdown", (event) => {
-    canvas.focus({ preventScroll: true });
-    canvas.setPointerCapture(event.pointerId);
-    const now = (start = here(event));
-    opened = false;
-    dragged = null;
-    before = null;
-    const [x, y] = map.toGrid(now.x, now.y);
-    if (event.button !== 0 || !viewer.tool().asks) {
-      before = now;
-      return;
-    }
-    const handle = handleAt(now.x, now.y);
-    if (handle >= 0) dragged = handle;
-    else if (inside(x, y)) {
-      viewer.setCursor({ x, y });
-      mark(viewer, viewer.cursor()!);
-      opened = true;
-    }
-  });
-  canvas.addEventListener("pointermove", (event) => {
-    const now = here(event);
-    const [x, y] = map.toGrid(now.x, now.y);
-    if (before && event.buttons) {
-      map.moveBy(now.x - before.x, now.y - before.y);
-      before = now;
-      return;
-    }
-    viewer.setCursor(inside(x, y) || dragged !== null ? { x, y } : null);
-    const place = viewer.cursor();
-    if (!event.buttons || !place) return;
-    const places = viewer.places();
-    // A press that goes on as a drag marks the next place where it ends.
-    if (opened && places.length < viewer.tool().asks && Math.hypot(now.x - start.x, now.y - start.y) > CLICK_PX) {
-      viewer.setPlaces([...places, place]);
-      dragged = places.length;
-      opened = false;
-    } else if (dragged !== null) {
-      viewer.setPlaces(places.map((old, i) => (i === dragged ? place : old)));
-    }
-  });
-  const lift = (): void => {
-    before = null;
-    dragged = null;
-    opened = false;
-  };
-  canvas.addEventListener("pointerup", lift);
-  canvas.addEventListener("pointercancel", lift);
-  canvas.addEventListener("pointerleave", () => viewer.setCursor(null));
-  canvas.addEventListener(
-    "wheel",
-    (event) => {
-      if (!wheelIsMeant(canvas, event)) return;
-      event.preventDefault();
-      const { x, y } = here(event);
-      map.zoomBy(1 / wheelFactor(event), x, y);
-    },
-    { passive: false },
-  );
-  canvas.addEventListener("keydown", (event) => {
-    const [right, up] = arrow(event);
-    const { rows, cols } = viewer.surface;
-    const place = viewer.cursor() ?? { x: Math.floor((cols - 1) / 2), y: Math.floor((rows - 1) / 2) };
-    if (right || up) {
-      const step = event.shiftKey ? 10 : 1;
-      const next = { x: place.x + step * right, y: place.y - step * up };
-      viewer.setCursor(viewer.cursor() ? next : place, true);
-      const cursor = viewer.cursor()!;
-      map.reveal(cursor.x, cursor.y);
-    } else if (event.key === "Enter" || event.key === " ") {
-      viewer.setCursor(place, true);
-      mark(viewer, viewer.cursor()!);
-    } else if (event.key === "Backspace") viewer.setPlaces(viewer.places().slice(0, -1));
-    else if (event.key === "Escape") viewer.setPlaces([]);
-    else if (event.key === "+" || event.key === "=") map.zoomBy(1.3, ...map.toScreen(place.x, place.y));
-    else if (event.key === "-") map.zoomBy(1 / 1.3);
-    else if (event.key === "0") map.fit();
-    else return;
-    event.preventDefault();
-  });
-}
-
-function arrow(event: KeyboardEvent): [number, number] {
+/** Return how far an arrow key goes to the right and up. */
+export function arrow(event: KeyboardEvent): [number, number] {
   switch (event.key) {
     case "ArrowLeft":
       return [-1, 0];

@@ -1,7 +1,7 @@
 /** The height map seen from straight above, in the colours of the 3D view. It needs no graphics card. */
 
 import { opaquePicture } from "./picture";
-import { COLOUR_BAR_PX, drawColourBar, drawScaleBar, penOf, type Ink, type Pen2D } from "./annotate";
+import { COLOUR_BAR_PX, drawColourBar, drawScaleBar, isFitted, penOf, type Ink, type Pen2D } from "./annotate";
 import type { Colouring } from "./colours";
 import { slopeAt, type Heights } from "./grid";
 import { unitSign } from "./numbers";
@@ -39,7 +39,7 @@ export class Map2D {
     this.overlay.className = "sv-overlay";
     this.levels = [{ ...surface, grey }];
     this.middle = [(surface.cols - 1) / 2, (surface.rows - 1) / 2];
-    this.sizeWatch = new ResizeObserver(() => this.redraw());
+    this.sizeWatch = new ResizeObserver(() => isFitted(this.canvas) || this.redraw());
     this.sizeWatch.observe(this.canvas);
   }
 

@@ -1,19 +1,8 @@
 /** Measures of a surface, with the definitions of semscape.metrology (docs/metrology.md), on the heights as shown. */
 
 import { heightAt } from "./grid";
-import type { Surface } from "./types";
-
-/** A place in the grid in px: x right, y down, the centre of the first height at 0, 0. */
-export interface Place {
-  x: number;
-  y: number;
-}
-
-/** A rectangle of the grid by two of its corners, edges included. */
-export interface Rectangle {
-  a: Place;
-  b: Place;
-}
+import { partOf, type Part, type Ring } from "./region";
+import type { Place, Surface } from "./types";
 
 export interface Profile {
   /** Distance from the start, evenly spaced by `step`. */
@@ -155,25 +144,6 @@ function degreesBetween(a: [number, number, number], b: [number, number, number]
   return (Math.atan2(across, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) * 180) / Math.PI;
 }
 
-interface Span {
-  row0: number;
-  row1: number;
-  col0: number;
-  col1: number;
-}
-
-/** Return the rows and columns whose centres lie in a rectangle, ends included; all of them without one. */
-export function span(surface: Surface, rectangle?: Rectangle): Span {
-  if (!rectangle) return { row0: 0, row1: surface.rows - 1, col0: 0, col1: surface.cols - 1 };
-  const { a, b } = rectangle;
-  return {
-    row0: Math.max(0, Math.ceil(Math.min(a.y, b.y))),
-    row1: Math.min(surface.rows - 1, Math.floor(Math.max(a.y, b.y))),
-    col0: Math.max(0, Math.ceil(Math.min(a.x, b.x))),
-    col1: Math.min(surface.cols - 1, Math.floor(Math.max(a.x, b.x))),
-  };
-}
-
 /** A plane z = offset + slopeX (x - x0) + slopeY (y - y0) over the grid in units of length, y down. */
 export interface Plane {
   offset: number;
@@ -184,8 +154,9 @@ export interface Plane {
   count: number;
 }
 
-/** Fit a plane by least squares along z to the known heights that `among` accepts; null where fewer than 3 are known. */
-export function fitPlane(surface: Surface, { row0, row1, col0, col1 }: Span, among?: (row: number, col: number) => boolean): Plane | null {
+/** Fit a plane by least squares along z to a part's known heights, those alone that `among` accepts; null of fewer than 3. */
+export function fitPlane(surface: Surface, part: Part, among: (row: number, col: number) => boolean = part.has): Plane | null {
+  const { row0, row1, col0, col1 } = part;
   const { cols, height, pixelSize } = surface;
   const x0 = ((col0 + col1) / 2) * pixelSize;
   const y0 = ((row0 + row1) / 2) * pixelSize;
@@ -195,7 +166,7 @@ export function fitPlane(surface: Surface, { row0, row1, col0, col1 }: Span, amo
     const y = row * pixelSize - y0;
     for (let col = col0; col <= col1; col++) {
       const z = height[row * cols + col];
-      if (Number.isNaN(z) || (among && !among(row, col))) continue;
+      if (Number.isNaN(z) || !among(row, col)) continue;
       const x = col * pixelSize - x0;
       n++;
       sx += x;
@@ -239,25 +210,21 @@ export interface StepFigures {
 }
 
 /** Return the step between two regions by two parallel planes, as semscape.metrology.step has it; null without heights. */
-export function stepBetween(surface: Surface, first: Rectangle, second: Rectangle): StepFigures | null {
+export function stepBetween(surface: Surface, first: Ring, second: Ring): StepFigures | null {
   const { cols, height, pixelSize } = surface;
-  const parts = [span(surface, first), span(surface, second)];
-  const middle = { x: 0, y: 0, z: 0 };
+  const parts = [partOf(surface, first), partOf(surface, second)];
   const moments = parts.map((part) => {
     const m = { n: 0, x: 0, y: 0, z: 0, xx: 0, xy: 0, yy: 0, xz: 0, yz: 0, zz: 0 };
     for (let row = part.row0; row <= part.row1; row++) {
       for (let col = part.col0; col <= part.col1; col++) {
         const z = height[row * cols + col];
-        if (Number.isNaN(z)) continue;
+        if (Number.isNaN(z) || !part.has(row, col)) continue;
         m.n++;
         m.x += col * pixelSize;
         m.y += row * pixelSize;
         m.z += z;
       }
     }
-    middle.x += m.x;
-    middle.y += m.y;
-    middle.z += m.z;
     return m;
   });
   const [one, two] = moments;
@@ -270,7 +237,7 @@ export function stepBetween(surface: Surface, first: Rectangle, second: Rectangl
     for (let row = part.row0; row <= part.row1; row++) {
       for (let col = part.col0; col <= part.col1; col++) {
         const value = height[row * cols + col];
-        if (Number.isNaN(value)) continue;
+        if (Number.isNaN(value) || !part.has(row, col)) continue;
         const x = col * pixelSize - mx, y = row * pixelSize - my, z = value - mz;
         within.xx += x * x;
         within.xy += x * y;

@@ -1,6 +1,7 @@
 /** Areas, volumes and parameters of ISO 25178 of a region, with the definitions of semscape.metrology. */
 
-import { fitPlane, planeAt, span, type Rectangle } from "./measure";
+import { fitPlane, planeAt } from "./measure";
+import { isOnRim, partOf, type Ring } from "./region";
 import type { Surface } from "./types";
 
 /** What volumes are measured from. */
@@ -15,24 +16,25 @@ export interface AreaFigures {
 }
 
 /** Return areas of a region, and the volumes above and below a reference; null where too few heights are known. */
-export function areaAndVolume(surface: Surface, rectangle: Rectangle, reference: VolumeReference): AreaFigures | null {
-  const part = span(surface, rectangle);
+export function areaAndVolume(surface: Surface, ring: Ring, reference: VolumeReference): AreaFigures | null {
+  const part = partOf(surface, ring);
   const { row0, row1, col0, col1 } = part;
   const { cols, height, pixelSize } = surface;
-  const onRim = (row: number, col: number): boolean => row === row0 || row === row1 || col === col0 || col === col1;
-  const plane = fitPlane(surface, part, reference === "rim" ? onRim : undefined);
+  const onRim = (row: number, col: number): boolean => part.has(row, col) && isOnRim(part, row, col);
+  const plane = fitPlane(surface, part, reference === "rim" ? onRim : part.has);
   if (!plane) return null;
   let lowest = Infinity;
   for (let row = row0; row <= row1; row++) {
     for (let col = col0; col <= col1; col++) {
       const z = height[row * cols + col];
-      if (z < lowest) lowest = z;
+      if (z < lowest && part.has(row, col)) lowest = z;
     }
   }
   const pixel = pixelSize * pixelSize;
   const found = { projected: 0, developed: 0, above: 0, below: 0, unknownArea: 0 };
   for (let row = row0; row <= row1; row++) {
     for (let col = col0; col <= col1; col++) {
+      if (!part.has(row, col)) continue;
       const i = row * cols + col;
       const z = height[i];
       if (Number.isNaN(z)) {
@@ -42,7 +44,7 @@ export function areaAndVolume(surface: Surface, rectangle: Rectangle, reference:
       const over = z - (reference === "lowest" ? lowest : planeAt(plane, col * pixelSize, row * pixelSize));
       if (over > 0) found.above += over * pixel;
       else found.below -= over * pixel;
-      if (row < row1 && col < col1) {
+      if (part.has(row, col + 1) && part.has(row + 1, col) && part.has(row + 1, col + 1)) {
         const factor = cellStretch(height, i, cols, pixelSize);
         if (factor) {
           found.projected += pixel;
@@ -81,8 +83,8 @@ export interface ArealFigures {
 }
 
 /** Return parameters of ISO 25178-2 after a least-squares plane is taken off; null where fewer than 3 heights are known. */
-export function arealFigures(surface: Surface, rectangle?: Rectangle): ArealFigures | null {
-  const part = span(surface, rectangle);
+export function arealFigures(surface: Surface, ring?: Ring): ArealFigures | null {
+  const part = partOf(surface, ring);
   const plane = fitPlane(surface, part);
   if (!plane) return null;
   const { cols, pixelSize } = surface;
@@ -91,7 +93,8 @@ export function arealFigures(surface: Surface, rectangle?: Rectangle): ArealFigu
   let sum = 0, squares = 0, cubes = 0, fourths = 0, low = Infinity, high = -Infinity;
   for (let row = part.row0, k = 0; row <= part.row1; row++) {
     for (let col = part.col0; col <= part.col1; col++, k++) {
-      const z = surface.height[row * cols + col] - planeAt(plane, col * pixelSize, row * pixelSize);
+      const height = part.has(row, col) ? surface.height[row * cols + col] : NaN;
+      const z = height - planeAt(plane, col * pixelSize, row * pixelSize);
       levelled[k] = z;
       if (Number.isNaN(z)) continue;
       sum += Math.abs(z);

@@ -1,20 +1,21 @@
 /** Put the viewer together: two views of one surface, the tools, and what they share. */
 
-import { drawCursor, drawMarks, finding, sigmaAt, TOOLS, toolOf, type Choices, type Tool } from "./tools";
 import { inkOf, type Ink } from "./annotate";
 import { HOME, moved, TOP, turned, zoomed } from "./camera";
 import type { Colouring } from "./colours";
 import { el, freshId, save } from "./dom";
-import { worldAt } from "./grid";
-import { watchMap, watchView } from "./interaction";
+import { drawCursor, drawMarks } from "./draw_marks";
+import { watchView } from "./interaction";
 import { Map2D } from "./map2d";
-import type { Place } from "./measure";
-import { decimalsOf, fixed, number, unitSign } from "./numbers";
+import { watchMap } from "./map_interaction";
+import { cancelled, canClose, closed, NO_MARKS, openPlaces, restoredMarks, withPlace, type Marks, type Shape } from "./marks";
+import { cursorText, surfaceText } from "./readout";
 import { showResults } from "./results";
 import { colouringOf, factsOf, restored, type Settings } from "./settings";
 import { installStyle } from "./style";
-import { icon, toolbar } from "./toolbar";
-import type { Surface, Theme, ViewerHandle, ViewerOptions, ViewerState } from "./types";
+import { icon, segments, toolbar } from "./toolbar";
+import { finding, hintOf, TOOLS, toolOf, type Choices, type Tool } from "./tools";
+import type { Place, Surface, Theme, ViewerHandle, ViewerOptions, ViewerState } from "./types";
 import { View3D } from "./view3d";
 
 const STATE_AFTER_MS = 300;
@@ -25,9 +26,11 @@ export interface Viewer {
   settings(): Settings;
   change(changes: Partial<Settings>): void;
   tool(): Tool;
-  places(): Place[];
-  /** Set a tool's places; `done` when a drag has ended. */
-  setPlaces(places: Place[]): void;
+  shape(): Shape;
+  marks(): Marks;
+  setMarks(marks: Marks): void;
+  /** Take a place for the tool. */
+  mark(place: Place): void;
   cursor(): Place | null;
   /** Move the cursor to the nearest height; spoken where it was moved by keyboard. */
   setCursor(place: Place | null, spoken?: boolean): void;
@@ -40,13 +43,12 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
   let settings = restored(options.state?.settings);
   let theme: Theme = options.theme ?? "auto";
   let tool = toolOf(String(options.state?.tool ?? "inspect"));
-  let places = restoredPlaces(options.state?.places, surface);
-  const choices: Choices = { nestingIndex: 0, reference: "rim", ...(options.state?.choices as Partial<Choices>) };
+  let marks = restoredMarks(options.state?.marks, tool, surface);
+  const choices: Choices = { nestingIndex: 0, reference: "rim", shape: "rectangle", ...(options.state?.choices as Partial<Choices>) };
   let cursor: Place | null = null;
   let colouring: Colouring = colouringOf(settings, surface, facts);
   let ink: Ink | null = null;
   let stateTimer = 0;
-  const sign = unitSign(surface.unit);
   let view: View3D | null = null;
   let map: Map2D | null = null;
   let disposed = false;
@@ -62,11 +64,25 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
     button.addEventListener("click", () => takeTool(each));
     return button;
   });
+  const shapes = segments<Shape>(
+    "Shape of a region", [["rectangle", "Rectangle"], ["polygon", "Polygon"]], () => choices.shape,
+    (shape) => {
+      // What was begun as the other shape is none of this one.
+      if (shape !== choices.shape && openPlaces(marks).length) marks = cancelled(marks);
+      choices.shape = shape;
+      measureAnew();
+      keepState();
+    },
+  );
+  const close = el("button", { type: "button", class: "sv-button" }, "Close polygon");
+  close.addEventListener("click", () => viewer.setMarks(closed(marks)));
   const clear = el("button", { type: "button", class: "sv-button" }, "Clear");
-  clear.addEventListener("click", () => viewer.setPlaces([]));
+  clear.addEventListener("click", () => viewer.setMarks(NO_MARKS));
   const tools = el(
     "div", { class: "sv-tools" },
     el("div", { class: "sv-segments", role: "group", "aria-label": "Tools" }, ...toolButtons),
+    shapes.group,
+    close,
     clear,
     hint,
   );
@@ -90,11 +106,15 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
       keepState();
     },
     tool: () => tool,
-    places: () => places,
-    setPlaces(changed) {
-      places = changed;
+    shape: () => choices.shape,
+    marks: () => marks,
+    setMarks(changed) {
+      marks = changed;
       measureAnew();
       keepState();
+    },
+    mark(place) {
+      viewer.setMarks(withPlace(tool, choices.shape, marks, place));
     },
     cursor: () => cursor,
     setCursor(place, aloud = false) {
@@ -105,15 +125,15 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
   };
 
   function takeTool(next: Tool): void {
-    if (next.name !== tool.name) places = [];
+    if (next.name !== tool.name) marks = NO_MARKS;
     tool = next;
     measureAnew();
     keepState();
   }
 
   function measureAnew(): void {
-    const found = finding(tool, surface, places, choices);
-    showResults(results, tool, surface, places, found, {
+    const found = finding(tool, surface, marks, choices);
+    showResults(results, tool, surface, marks.places, found, {
       choices: () => choices,
       choose(changes) {
         Object.assign(choices, changes);
@@ -123,8 +143,11 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
       point: (place) => viewer.setCursor(place),
     });
     for (const [i, button] of toolButtons.entries()) button.setAttribute("aria-pressed", String(TOOLS[i] === tool));
-    hint.textContent = tool.hints[Math.min(places.length, tool.hints.length - 1)];
-    clear.hidden = !places.length;
+    hint.textContent = hintOf(tool, choices.shape, marks);
+    shapes.group.hidden = !tool.regions;
+    shapes.refresh();
+    close.hidden = !canClose(tool, choices.shape, marks);
+    clear.hidden = !marks.places.length;
     annotate();
   }
 
@@ -134,37 +157,10 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
   }
 
   function tellCursor(aloud: boolean): void {
-    const text = cursorText();
+    const text = cursor ? cursorText(surface, cursor) : [];
     readout.replaceChildren(...text.map(([name, value]) => el("span", {}, el("b", {}, name), ` ${value}`)));
-    if (!cursor) readout.textContent = surfaceText();
+    if (!cursor) readout.textContent = surfaceText(surface, facts.known);
     if (aloud && cursor) spoken.textContent = text.map(([name, value]) => `${name} ${value}`).join(", ");
-  }
-
-  function cursorText(): [string, string][] {
-    if (!cursor) return [];
-    const i = cursor.y * surface.cols + cursor.x;
-    const z = surface.height[i];
-    const [x, y, worldZ] = worldAt(surface, cursor.x, cursor.y, z);
-    const decimals = Math.min(6, decimalsOf(surface.pixelSize / 2));
-    const sigma = sigmaAt(surface, cursor);
-    const zDecimals = sigma > 0 ? Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(sigma)))) : decimals + 1;
-    const known = Number.isFinite(z);
-    const why = surface.reason ? surface.reasonNames[surface.reason[i]] : undefined;
-    const parts: [string, string][] = [
-      ["x", `${fixed(x, decimals)} ${sign}`],
-      ["y", `${fixed(y, decimals)} ${sign}`],
-      ["z", known ? `${fixed(worldZ, zDecimals)} ± ${sigma > 0 ? sigma.toFixed(zDecimals) : "?"} ${sign}` : why ? `unknown (${why})` : "unknown"],
-    ];
-    if (known && facts.mostViews) parts.push(["views", String(surface.nViews[i])]);
-    parts.push(["px", `${cursor.x * surface.stride}, ${cursor.y * surface.stride}`]);
-    return parts;
-  }
-
-  function surfaceText(): string {
-    const share = (100 * facts.known) / Math.max(1, surface.rows * surface.cols);
-    const [rows, cols] = surface.fullShape;
-    const thinned = surface.stride > 1 ? `, of which every ${ordinal(surface.stride)} row and column is here` : "";
-    return `${cols} × ${rows} heights${thinned}, ${fixed(share, 1)} % known, ${number(surface.pixelSize / surface.stride, 4)} ${sign} apart`;
   }
 
   function keepState(): void {
@@ -174,7 +170,7 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
   }
 
   function state(): ViewerState {
-    return { settings, tool: tool.name, places, choices: { ...choices } };
+    return { settings, tool: tool.name, marks, choices: { ...choices } };
   }
 
   const currentInk = (): Ink => (ink ??= inkOf(root));
@@ -206,18 +202,18 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
     if (disposed) return;
     map = new Map2D(surface, grey, () => settings, () => colouring, currentInk);
     map.canvas.dataset.name = "map";
-    describe(map.canvas, "Height map from above", "Arrow keys move the cursor, with Shift by ten; Enter marks a place, Backspace takes the last one back, Escape clears; plus and minus zoom, 0 fits.");
-    mapPane.append(map.canvas, map.overlay, cornerButtons(mapPane, [["+", "Zoom in", () => map?.zoomBy(1.5)], ["−", "Zoom out", () => map?.zoomBy(1 / 1.5)]]));
+    describe(map.canvas, "Height map from above", "Arrow keys move the cursor, with Shift by ten; Enter marks a place, Enter again there closes a polygon, Backspace takes the last place back, Escape cancels; plus and minus zoom, 0 fits.");
+    mapPane.append(map.canvas, map.overlay, cornerButtons([["+", "Zoom in", () => map?.zoomBy(1.5)], ["−", "Zoom out", () => map?.zoomBy(1 / 1.5)]]));
     map.marks = (pen) => {
       const find = (x: number, y: number): [number, number] => map!.toScreen(x, y);
-      drawMarks(pen, currentInk(), tool, places, cursor, find, false);
+      drawMarks(pen, currentInk(), tool, choices.shape, marks, cursor, find, false);
       if (cursor) drawCursor(pen, currentInk(), find(cursor.x, cursor.y));
     };
     watchMap(map, viewer);
     let firstIn3D: Promise<void> = Promise.resolve();
     if (facts.known || surface.points.length) {
       try {
-        view = new View3D(surface, facts, grey, () => settings, () => colouring, currentInk);
+        view = new View3D(surface, facts, grey, { settings: () => settings, colouring: () => colouring, ink: currentInk });
         firstIn3D = view.firstPicture;
       } catch (error) {
         const why = error instanceof Error && error.message.startsWith("the graphics card") ? `${error.message}.` :
@@ -230,7 +226,7 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
         settings: () => settings,
         change: (changes) => viewer.change(changes),
         look: (where) =>
-          viewer.change({ eye: view!.fitted({ ...(where === "top" ? TOP : HOME), projection: settings.eye.projection }) }),
+          viewer.change({ eye: view!.fitted({ ...{ home: HOME, top: TOP, here: settings.eye }[where], projection: settings.eye.projection }) }),
         savePicture: () => void picture().then((blob) => save(blob, "surface.png")),
         theme: () => theme,
         setTheme,
@@ -251,17 +247,16 @@ export function mountViewer(element: HTMLElement, surface: Surface, options: Vie
       const shown = view;
       shown.canvas.dataset.name = "surface";
       describe(shown.canvas, "Surface in three dimensions", "Arrow keys turn the view, with Shift they move it; plus and minus zoom, 0 goes back to the start.");
-      view3dPane.append(shown.canvas, shown.overlay, cornerButtons(view3dPane, [
+      view3dPane.append(shown.canvas, shown.overlay, cornerButtons([
         ["+", "Zoom in", () => viewer.change({ eye: zoomed(settings.eye, 1 / 1.3) })],
         ["−", "Zoom out", () => viewer.change({ eye: zoomed(settings.eye, 1.3) })],
       ]));
       shown.marks = (pen, project) => {
-        const lift = 0;
         const find = (x: number, y: number): [number, number] | null => {
           const i = clamp(Math.round(y), surface.rows) * surface.cols + clamp(Math.round(x), surface.cols);
-          return project(x, y, surface.height[i] + lift);
+          return project(x, y, surface.height[i]);
         };
-        drawMarks(pen, currentInk(), tool, places, cursor, find, true);
+        drawMarks(pen, currentInk(), tool, choices.shape, marks, cursor, find, true);
         const at = cursor && find(cursor.x, cursor.y);
         if (at) drawCursor(pen, currentInk(), at);
       };
@@ -307,17 +302,6 @@ function clamp(value: number, size: number): number {
   return Math.min(size - 1, Math.max(0, value));
 }
 
-function ordinal(n: number): string {
-  return n === 2 ? "second" : n === 3 ? "third" : `${n}th`;
-}
-
-function restoredPlaces(kept: unknown, surface: Surface): Place[] {
-  if (!Array.isArray(kept)) return [];
-  const places = kept as Place[];
-  const inside = places.every((place) => place?.x >= 0 && place.y >= 0 && place.x < surface.cols && place.y < surface.rows);
-  return inside ? places : [];
-}
-
 function describe(canvas: HTMLCanvasElement, name: string, keys: string): void {
   const id = freshId("keys");
   canvas.tabIndex = 0;
@@ -328,7 +312,7 @@ function describe(canvas: HTMLCanvasElement, name: string, keys: string): void {
   canvas.title = keys;
 }
 
-function cornerButtons(_pane: HTMLElement, items: [string, string, () => void][]): HTMLElement {
+function cornerButtons(items: [string, string, () => void][]): HTMLElement {
   return el(
     "div", { class: "sv-corner" },
     ...items.map(([text, name, act]) => {

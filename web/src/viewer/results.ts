@@ -4,8 +4,7 @@ import { el, save } from "./dom";
 import { unitSign } from "./numbers";
 import { profilePlot } from "./plot";
 import { nestingIndexOf, profileCsv, sigmaAt, valueText, type Choices, type Finding, type Tool } from "./tools";
-import type { Place } from "./measure";
-import type { Surface } from "./types";
+import type { Place, Surface } from "./types";
 
 export interface ResultsActions {
   choices(): Choices;

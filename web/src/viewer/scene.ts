@@ -31,10 +31,14 @@ import {
 } from "three";
 import { slopeAt, triangleMask, withoutGaps } from "./grid";
 import { SURFACE_FRAGMENT, SURFACE_VERTEX } from "./shaders";
+import type { Space } from "./space";
 import type { Surface } from "./types";
 
 /** Cells along the side of a patch. */
 export const PATCH = 64;
+const LEAST_CAMERA_DISTANCE = 0.56;
+/** Half the width of a camera's frame, where there is room for it. */
+const FRAME = 0.04;
 
 /** The parts of a surface that the 3D view draws. */
 export interface SurfaceScene {
@@ -43,14 +47,12 @@ export interface SurfaceScene {
   points: InstancedBufferGeometry;
   surface: Mesh;
   dots: Points;
-  /** Length of the scene per unit of length of the surface. */
-  scale: number;
   dispose(): void;
 }
 
-export function makeSurfaceScene(surface: Surface, grey: Uint8Array | null, middle: number): SurfaceScene {
+export function makeSurfaceScene(surface: Surface, grey: Uint8Array | null, space: Space): SurfaceScene {
   const { rows, cols } = surface;
-  const scale = 1 / (Math.max(rows, cols) * surface.pixelSize);
+  const { scale, middle } = space;
   const textures: Record<string, Texture> = {
     heights: plane(withoutGaps(surface), cols, rows, "float"),
     known: plane(surface.sigmaCode, cols, rows, "byte"),
@@ -94,7 +96,6 @@ export function makeSurfaceScene(surface: Surface, grey: Uint8Array | null, midd
     points,
     surface: mesh,
     dots,
-    scale,
     dispose() {
       for (const thing of [...Object.values(textures), material, patch, points]) thing.dispose();
     },
@@ -190,26 +191,40 @@ function smooth(texture: DataTexture): DataTexture {
   return texture;
 }
 
+/**
+ * Return how far from the middle the cameras are drawn, in the scene's lengths: over the surface, whose highest place is
+ * at `top`, and apart from each other. Their rays are parallel, so that only their direction means something.
+ */
+export function cameraDistance(surface: Surface, top: number): number {
+  return Math.max(LEAST_CAMERA_DISTANCE, top + 0.2, Math.min(1, (2.5 * FRAME) / leastAngle(surface)));
+}
+
+function leastAngle(surface: Surface): number {
+  const directions = surface.cameras.map((camera) => cameraPlace(camera.rotation, 1));
+  return Math.min(Math.PI / 2, ...directions.flatMap((one, i) => directions.slice(i + 1).map((other) => one.angleTo(other))).filter(Boolean));
+}
+
 /** Return the series' cameras as small picture frames that look at the middle, in the scene's lengths. */
-export function cameraFrames(surface: Surface, colour: string, accent: string): Group {
+export function cameraFrames(surface: Surface, distance: number, colour: string, accent: string): Group {
   const group = new Group();
+  const frame = Math.min(FRAME, 0.4 * leastAngle(surface) * distance);
   for (const camera of surface.cameras) {
     const [x, y, z] = [0, 3, 6].map((row) => new Vector3(...(camera.rotation.slice(row, row + 3) as [number, number, number])));
-    const eye = cameraPlace(camera.rotation);
+    const eye = cameraPlace(camera.rotation, distance);
     const corner = (i: number, j: number): Vector3 =>
-      eye.clone().addScaledVector(x, 0.04 * i).addScaledVector(y, 0.04 * j).addScaledVector(z, 0.05);
+      eye.clone().addScaledVector(x, frame * i).addScaledVector(y, frame * j).addScaledVector(z, 1.25 * frame);
     const corners = [corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)];
     const lines = corners.flatMap((place, i) => [place, corners[(i + 1) % 4], place, eye]);
-    lines.push(eye, eye.clone().addScaledVector(z, 0.5));
+    lines.push(eye, eye.clone().addScaledVector(z, distance - 0.06));
     const material = new LineBasicMaterial({ color: new Color(camera.reference ? accent : colour), transparent: true, opacity: 0.9 });
     group.add(new LineSegments(new BufferGeometry().setFromPoints(lines), material));
   }
   return group;
 }
 
-/** Return where the viewer draws a camera: its rays are parallel, so that only their direction means something. */
-export function cameraPlace(rotation: number[]): Vector3 {
-  return new Vector3(rotation[6], rotation[7], rotation[8]).multiplyScalar(-0.56);
+/** Return where the viewer draws a camera. */
+export function cameraPlace(rotation: number[], distance: number): Vector3 {
+  return new Vector3(rotation[6], rotation[7], rotation[8]).multiplyScalar(-distance);
 }
 
 /** Return the sparse points, in the scene's lengths without exaggeration. */

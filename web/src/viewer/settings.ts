@@ -69,14 +69,14 @@ export interface Facts {
 
 export function factsOf(surface: Surface): Facts {
   const [low, high] = percentiles(surface.height, [0.005, 0.995]);
-  const codes = Float32Array.from(surface.sigmaCode, (code) => (code > 1 ? code : NaN));
-  const [sigmaLow, sigmaHigh] = percentiles(codes, [0.01, 0.99]);
+  const counts = new Uint32Array(256);
   let mostViews = 0;
-  let known = 0;
   for (let i = 0; i < surface.nViews.length; i++) {
+    counts[surface.sigmaCode[i]]++;
     if (surface.nViews[i] > mostViews) mostViews = surface.nViews[i];
-    if (surface.sigmaCode[i]) known++;
   }
+  const known = surface.sigmaCode.length - counts[0];
+  const [sigmaLow, sigmaHigh] = [0.01, 0.99].map((share) => codeAt(counts, share * (known - counts[1])));
   return {
     range: heightRange(surface.height),
     shown: high > low ? [low, high] : [(low || 0) - 0.5, (low || 0) + 0.5],
@@ -85,6 +85,16 @@ export function factsOf(surface: Surface): Facts {
     hasSigma: Number.isFinite(sigmaLow),
     known,
   };
+}
+
+/** Return the code of a sigma that so many heights are at or below; NaN where none is known. */
+function codeAt(counts: Uint32Array, rank: number): number {
+  let below = 0;
+  for (let code = 2; code < counts.length; code++) {
+    below += counts[code];
+    if (below && below >= rank) return code;
+  }
+  return NaN;
 }
 
 /** Return what the colours of the settings mean. */

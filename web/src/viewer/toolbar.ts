@@ -7,7 +7,8 @@ import type { ExportLink, Theme } from "./types";
 export interface ToolbarActions {
   settings(): Settings;
   change(changes: Partial<Settings>): void;
-  look(where: "home" | "top"): void;
+  /** Bring the eye to where it sees all, from a direction of its own or from where it looks. */
+  look(where: "home" | "top" | "here"): void;
   savePicture(): void;
   theme(): Theme;
   setTheme(theme: Theme): void;
@@ -31,22 +32,17 @@ export function toolbar(
     refreshers.push(() => (select.value = settings()[key]));
     return select;
   };
-  const segments = <Value extends string>(title: string, items: [Value, string][], get: () => Value, set: (value: Value) => void): HTMLElement => {
-    const buttons = items.map(([value, text]) => {
-      const button = el("button", { type: "button" }, text);
-      button.addEventListener("click", () => set(value));
-      refreshers.push(() => button.setAttribute("aria-pressed", String(get() === value)));
-      return button;
-    });
-    return el("div", { class: "sv-segments", role: "group", "aria-label": title }, ...buttons);
+  const choices = <Value extends string>(title: string, items: [Value, string][], get: () => Value, set: (value: Value) => void): HTMLElement => {
+    const made = segments(title, items, get, set);
+    refreshers.push(made.refresh);
+    return made.group;
   };
   const toggle = (text: string, key: "shaded" | "anaglyph" | "cameras" | "sparse" | "axes", useful = true): HTMLElement => {
     const box = el("input", { type: "checkbox", disabled: !useful });
     box.addEventListener("change", () => {
-      const { eye } = settings();
+      change({ [key]: box.checked });
       // The cameras stand above the surface: step back, so that they are seen.
-      const back = key === "cameras" && box.checked && eye.reach < 0.8 ? { eye: { ...eye, reach: 0.8 } } : {};
-      change({ [key]: box.checked, ...back });
+      if (key === "cameras" && box.checked) actions.look("here");
     });
     refreshers.push(() => (box.checked = settings()[key]));
     return el("label", { class: "sv-check" }, box, text);
@@ -87,15 +83,15 @@ export function toolbar(
   const parts: Child[] = [colours];
   if (has.view3d) {
     parts.push(
-      segments("Style of the surface", [["surface", "Surface"], ["wireframe", "Wireframe"], ["points", "Points"]], () => settings().style, (style) => change({ style })),
-      segments("Projection", [["perspective", "Perspective"], ["orthographic", "Orthographic"]], () => settings().eye.projection, (projection) =>
+      choices("Style of the surface", [["surface", "Surface"], ["wireframe", "Wireframe"], ["points", "Points"]], () => settings().style, (style) => change({ style })),
+      choices("Projection", [["perspective", "Perspective"], ["orthographic", "Orthographic"]], () => settings().eye.projection, (projection) =>
         change({ eye: { ...settings().eye, projection } })),
       el("div", { class: "sv-group" }, slider(
         "z ×", Math.log2(LEAST_LIFT), Math.log2(MOST_LIFT), 0.01, () => Math.log2(settings().exaggeration),
         (value) => change({ exaggeration: rounded(2 ** value) }),
         (value) => `${rounded(2 ** value)}`,
       )),
-      segments("Look from", [["home", "Tilted"], ["top", "Top"]], () => "" as "home" | "top", (where) => actions.look(where)),
+      choices("Look from", [["home", "Tilted"], ["top", "Top"]], () => "" as "home" | "top", (where) => actions.look(where)),
     );
   }
   parts.push(light);
@@ -130,6 +126,21 @@ export function toolbar(
   };
   refresh();
   return { bar: el("div", { class: "sv-bar", role: "group", "aria-label": "View" }, ...parts), refresh };
+}
+
+/** Return buttons of which one is pressed, and a function that makes them say which. */
+export function segments<Value extends string>(
+  title: string, items: [Value, string][], get: () => Value, set: (value: Value) => void,
+): { group: HTMLElement; refresh: () => void } {
+  const buttons = items.map(([value, text]) => {
+    const button = el("button", { type: "button" }, text);
+    button.addEventListener("click", () => set(value));
+    return button;
+  });
+  return {
+    group: el("div", { class: "sv-segments", role: "group", "aria-label": title }, ...buttons),
+    refresh: () => items.forEach(([value], i) => buttons[i].setAttribute("aria-pressed", String(get() === value))),
+  };
 }
 
 function rounded(value: number): number {

@@ -1,3 +1,9 @@
+/** A place in the grid in px: x right, y down, the centre of the first height at 0, 0. */
+export interface Place {
+  x: number;
+  y: number;
+}
+
 /** A camera of the series: parallel projection along the rows of `rotation`, camera from world. */
 export interface SurfaceCamera {
   name: string;
