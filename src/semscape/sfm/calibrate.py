@@ -127,7 +127,19 @@ def calibrate(
     perspective = None
     if options.camera != "orthographic":
         perspective = _perspective(series, kept, final, learnt, options, overdispersion)
-        if options.camera == "perspective" or perspective.margin > 0:
+        if _is_taken(perspective, options):
+            # Parallel projection has made the noise look larger, and shared by neighbours: outliers are judged again.
+            left, again, overdispersion = _kept(perspective.observations, perspective.adjustment, series.n_views)
+            kept, as_seen = replace(left, xy=kept.xy[again]), as_seen[again]
+            final = adjust(
+                final.parameters,
+                kept,
+                learnt,
+                max_iterations=options.max_iterations,
+                overdispersion=overdispersion,
+            )
+            perspective = _perspective(series, kept, final, learnt, options, overdispersion)
+        if _is_taken(perspective, options):
             kept, final = perspective.observations, perspective.adjustment
     points_variance_um2 = np.einsum("pii->pi", points_covariance(final, kept, TiltSeriesModel(prior), overdispersion))
     reconstruction = replace(
@@ -140,6 +152,10 @@ def calibrate(
     if perspective is not None:
         reconstruction = _with_camera(series, reconstruction, perspective, final, options)
     return Calibration(reconstruction, found.evolution, final.sigma_px, overdispersion, drift_px)
+
+
+def _is_taken(perspective: PerspectiveFit, options: SfmOptions) -> bool:
+    return options.camera == "perspective" or perspective.margin > 0
 
 
 def _kept(observations: Observations, adjustment: Adjustment, n_views: int) -> tuple[Observations, BoolArray, float]:

@@ -98,9 +98,9 @@ class FullObjectMotion:
             return ()
         return (
             "too few tracks tie views of different stage rotations to tell in which sense the stage turns (margin "
-            f"{abs(self.sense_margin):.1f}, need {_CLEAR_MARGIN:g}): rotations are read counter-clockwise, seen from the "
-            "electron source. If the sides do not fit together, give stage_rotation_deg with the opposite signs, or "
-            "take more rotations with smaller steps",
+            f"{abs(self.sense_margin):.1f}, need {_CLEAR_MARGIN:g}): rotations are read counter-clockwise, seen from "
+            "the electron source. If the sides do not fit together, give stage_rotation_deg with the opposite signs, "
+            "or take more rotations with smaller steps",
         )
 
 
