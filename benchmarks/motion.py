@@ -39,6 +39,7 @@ def measure_accuracy(case: str) -> dict[str, Any]:
     return {
         **figures_of([recover(RECIPES[case], seed) for seed in range(_SERIES_FOR_ERRORS)]),
         "series_for_coverage": coverage["series"],
+        "tracks_for_coverage": _TRACKS_FOR_COVERAGE,
         **{key: share for key, share in coverage.items() if key.endswith("_in_95_percent")},
     }
 

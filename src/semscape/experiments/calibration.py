@@ -185,7 +185,7 @@ def _draw(every: Table, table: Table, drawing: Drawing) -> None:
         for tilt in np.unique(mine[:, 0]):
             spread = _Z_95 * float(np.median(mine[mine[:, 0] == tilt, 2]))
             axes.hlines([-spread, spread], tilt - 0.9, tilt + 0.9, color="#e0812b")
-        axes.set_title(f"{case}: {row[table.columns.index('tilts_in_95_percent')]:.0f} % hold", fontsize=8)
+        axes.set_title(f"{case}: {row[table.columns.index('tilts_in_95_percent')]:.0f} % hold", fontsize=7)
         axes.grid(alpha=0.25)
     for axes in panels[::3]:
         axes.set_ylabel("Error (°)")

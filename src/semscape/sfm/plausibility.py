@@ -144,8 +144,9 @@ def height_scale_warnings(height_scale_sigma: float, prior: MotionPrior) -> list
     if height_scale_sigma <= _WIDE_HEIGHT_SCALE:
         return []
     reason = (
-        "the tilts come from the images alone, where a scan anisotropy of 0.05 % already moves them; give the "
-        "stage tilts (--tilts) or take more views over a wider range"
+        f"the tilts come from the images alone, and the scan's x and y scales are expected to differ by "
+        f"{prior.anisotropy_sigma:.2%} between views (sfm.prior_anisotropy), which moves them; give the stage tilts "
+        "(--tilts), take more views over a wider range, or tell a steadier scan if this microscope has shown one"
         if prior.self_calibrated
         else "the tilt range is small against the stage's error; tilt farther"
     )
