@@ -45,3 +45,4 @@ def test_the_perspective_camera_fits_better(near: Reconstruction) -> None:
     assert np.isnan(flat.camera_margin)
     assert flat.rms_px > 0.6
     assert near.rms_px == pytest.approx(0.3, abs=0.05)
+    assert not near.contradictions

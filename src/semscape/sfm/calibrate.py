@@ -97,7 +97,8 @@ def calibrate(
             "check that all images show the same field of the specimen, or tilt in smaller steps"
         )
     prior = motion_prior(series, options)
-    doubts = require_parallax(series, observations, prior)
+    no_parallax = require_parallax(series, observations, prior)
+    doubts: list[str] = []
 
     found = search(observations, prior, options, rng=rng)
     if not prior.self_calibrated and series.n_views > 2:
@@ -141,6 +142,8 @@ def calibrate(
             perspective = _perspective(series, kept, final, learnt, options, overdispersion)
         if _is_taken(perspective, options):
             kept, final = perspective.observations, perspective.adjustment
+            no_parallax = require_parallax(series, kept, prior)  # perspective had spread the points both ways
+    doubts = no_parallax + doubts
     points_variance_um2 = np.einsum("pii->pi", points_covariance(final, kept, TiltSeriesModel(prior), overdispersion))
     reconstruction = replace(
         _reconstruction(series, replace(kept, xy=as_seen), final, points_variance_um2, prior, options, doubts),
