@@ -18,18 +18,53 @@ if TYPE_CHECKING:
 
     from semscape.types import Observations, TiltSeries
 
-_SERIES = 200
+_SERIES_FOR_ERRORS = 30
+_SERIES_FOR_COVERAGE, _TRACKS_FOR_COVERAGE = 200, 400
 _POPULATION = 20_000
 _RUNS = 5
 _BOOTSTRAPS = 10
+_EXACT = 1e-6
+_TOLD_AND_TRUE = (0.0, 0.0005, 0.001)
 
 
 def measure_accuracy(case: str) -> dict[str, Any]:
-    """Calibrate many simulated series of one case and compare them with their truth."""
+    """Calibrate simulated series of one case: errors over some of many tracks, coverage over many of fewer tracks."""
+    from dataclasses import replace
+
     from semscape.experiments.calibration import CASES as RECIPES
     from semscape.experiments.calibration import figures_of, recover
 
-    return dict(figures_of([recover(RECIPES[case], seed) for seed in range(_SERIES)]))
+    few = replace(RECIPES[case], n_points=_TRACKS_FOR_COVERAGE)
+    coverage = figures_of([recover(few, seed) for seed in range(_SERIES_FOR_COVERAGE)])
+    return {
+        **figures_of([recover(RECIPES[case], seed) for seed in range(_SERIES_FOR_ERRORS)]),
+        "series_for_coverage": coverage["series"],
+        "tracks_for_coverage": _TRACKS_FOR_COVERAGE,
+        **{key: share for key, share in coverage.items() if key.endswith("_in_95_percent")},
+    }
+
+
+def measure_told_scan(views: int, told: float, true: float) -> dict[str, Any]:
+    """Calibrate many series from their images alone, whose scans stretch as told or otherwise (1 sigma)."""
+    from dataclasses import replace
+
+    from semscape.experiments.calibration import CASES as RECIPES
+    from semscape.experiments.calibration import figures_of, recover
+    from semscape.options import SfmOptions
+
+    recipe = replace(RECIPES[f"{views} views, images alone"], n_points=_TRACKS_FOR_COVERAGE, anisotropy_sigma=true)
+    options = SfmOptions(prior_anisotropy=told or _EXACT)
+    figures = figures_of([recover(recipe, seed, options) for seed in range(_SERIES_FOR_COVERAGE)])
+    return {"views": views, "anisotropy_told": told, "anisotropy_true": true, **figures}
+
+
+def measure_convergence() -> dict[str, Any]:
+    """Run the convergence experiment: where searches and refinements of 30 seeds end."""
+    from semscape.experiments.convergence import run
+    from semscape.experiments.study import Setting
+
+    ends = run(Setting()).tables[0]
+    return {"columns": list(ends.columns), "rows": [list(row) for row in ends.rows], "note": ends.note}
 
 
 def measure_objective() -> dict[str, Any]:
@@ -272,7 +307,14 @@ CASES: dict[str, Case] = {
     "adjustment-rivals-5000": (measure_rivals, (10, 5_000, 100)),
     "adjustment-rivals-50000": (measure_rivals, (10, 50_000, 30)),
     **{name: (measure_real, (name,)) for name in REAL_SETS},
+    "convergence": (measure_convergence, ()),
     **{case: (measure_accuracy, (case,)) for case in _ACCURACY},
+    **{
+        f"3 views, told {told:g}, true {true:g}": (measure_told_scan, (3, told, true))
+        for told in _TOLD_AND_TRUE
+        for true in _TOLD_AND_TRUE
+    },
+    **{f"{views} views, told exact": (measure_told_scan, (views, 0.0, 0.0)) for views in (5, 7)},
 }
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from semscape.report.memory import PeakMemory, release_memory
 from semscape.report.summary import build_report, pair_figures
 from semscape.robust.pair_geometry import pinhole_calibrations
 from semscape.sfm.calibrate import Calibration, calibrate
-from semscape.sfm.full_object import calibrate_full_object
+from semscape.sfm.full_object import calibrate_full_object, require_stage
 from semscape.sfm.misfit import misfitting_view
 from semscape.sfm.plausibility import require_one_axis, require_tilts
 from semscape.sfm.thesis import thesis_calibration
@@ -199,6 +199,7 @@ def reconstruct_full_object(
     """
     options = _seeded(options or Options(), rng)
     stages = _Stages(progress)
+    require_stage(series)
     with local_mapper(workers) as mapper:
         with stages("detect") as figures:
             keypoints = tuple(mapper(partial(detect, options=options.features), series.views))
@@ -209,7 +210,7 @@ def reconstruct_full_object(
         with stages("calibrate") as figures:
             observations = build_tracks(keypoints, matches, geometries)
             motion = calibrate_full_object(series, observations, options.sfm)
-            figures["noise_sigma_px"] = motion.adjustment.sigma_px
+            figures["noise_sigma_px"], figures["sense_margin"] = motion.adjustment.sigma_px, motion.sense_margin
         with stages("surface") as figures:
             found = full_object_surface(series, observations, motion, options.dense, mapper=mapper)
             figures["groups"], figures["measured_fraction"] = len(found.maps), found.merged.measured

@@ -1,7 +1,7 @@
 """The motion of simulated tracks, with gates on both sides: a result that is too good fails as well.
 
-Scale drift 0.1 %, roll 0.2 deg, 0.3 px keypoint noise, 10 % of the observations wrong, 2000 tracks. The full tables of
-200 series each come from `benchmarks/motion.py` and `semscape experiments calibration`.
+Scale drift 0.1 %, roll 0.2 deg, 0.3 px keypoint noise, 10 % of the observations wrong, 2000 tracks. Coverage over 200
+series of every case comes from `make motion`, every single tilt from `semscape experiments calibration`.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def test_never_worse_than_the_stage(case: str) -> None:
 
 @pytest.mark.parametrize("case", ["3 views, stage, anisotropy", "3 views, images alone, anisotropy"])
 def test_intervals_hold_the_truth(case: str) -> None:
-    """200 series with the anisotropy that the priors state; the longer series stand in the tables."""
-    found = figures(case, 200, 400)
+    """100 series with the anisotropy that the priors state; 200 of every case stand in docs/motion.md."""
+    found = figures(case, 100, 400)
     for what in ("tilts", "steps", "height_scale"):
         assert 90 <= found[f"{what}_in_95_percent"] <= 99, (what, found)
     assert ANISOTROPY == 0.001

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import semscape
+from restarted import moved_by_restart_deg
 from semscape.features.detect import detect
 from semscape.options import InputOptions, Options
 from semscape.sfm.calibrate import calibrate
@@ -104,6 +105,12 @@ def test_dsa_gives_equal_steps(dsa: tuple[Tracked, Reconstruction]) -> None:
     steps = steps_deg(dsa[1])
     assert abs(steps[0] - steps[1]) < 0.35
     assert 3 < steps.mean() < 7
+
+
+@pytest.mark.parametrize("name", ["pollen", "quartz", "dsa"])
+def test_a_restart_with_tighter_tolerance_stays(name: str, request: pytest.FixtureRequest) -> None:
+    data = request.getfixturevalue(name)[0]
+    assert moved_by_restart_deg(data.series, data.observations) < 0.001
 
 
 def test_residuals_are_those_of_good_keypoints(quartz, dsa, pollen: tuple[Tracked, Reconstruction]) -> None:

@@ -127,7 +127,7 @@ def test_a_group_images_the_object_as_its_views_did() -> None:
     stretch = scale[:, None] * np.column_stack([1 + anisotropy / 2, 1 - anisotropy / 2])
     xy = stretch[:, None] * np.einsum("vij,pj->vpi", rotations[:, :2], points) + shift[:, None]
     adjustment = Adjustment(
-        np.concatenate([[1.5], per_view.ravel()]), np.eye(1), points, np.eye(1), np.eye(1), np.eye(1), 1.0, 1.0, 1
+        np.concatenate([[1.5], per_view.ravel()]), np.eye(1), points, np.eye(1), np.eye(1), 1.0, 1.0, 1
     )
     motion = FullObjectMotion(rotations, 1.5, tilt, turn, scale, adjustment)
     observations = Observations(

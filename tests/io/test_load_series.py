@@ -255,6 +255,16 @@ class TestRefused:
         with pytest.raises(BadInputError, match=r"img1\.png and img3\.png are both at 5 deg"):
             load_series(tmp_path, InputOptions(tilts_deg=(5, 0, 5.01)))
 
+    def test_one_tilt_at_two_rotations_of_the_stage(self, tmp_path: Path) -> None:
+        write_plain(tmp_path, 2)
+        text = '[images."img1.png"]\ntilt_deg = 40\nstage_rotation_deg = {}\n[images."img2.png"]\ntilt_deg = 40\n'
+        (tmp_path / "series.toml").write_text(text.format(60), encoding="utf-8")
+        turned = [np.rad2deg(view.metadata.stage_rotation_rad) for view in load_series(tmp_path).views]
+        np.testing.assert_allclose(turned, [60, np.nan])
+        (tmp_path / "series.toml").write_text(text.format(0), encoding="utf-8")
+        with pytest.raises(BadInputError, match="both at 40 deg"):
+            load_series(tmp_path)
+
     @pytest.mark.parametrize("size", [0.0, -0.05, math.inf])
     def test_impossible_pixel_size(self, tmp_path: Path, size: float) -> None:
         write_plain(tmp_path, 2)

@@ -44,7 +44,7 @@ def ball() -> FullObject:
     series = TiltSeries(tuple(Micrograph(f"<{k}>.tif", blank, blank == 0) for k in range(4)))
     four, nothing = np.zeros(4), np.empty(0)
     parameters = np.zeros(1 + 4 * PARAMETERS_PER_VIEW)
-    adjustment = Adjustment(parameters, nothing, nothing, nothing, nothing, nothing, 0.3, 1.0, 1)
+    adjustment = Adjustment(parameters, np.eye(len(parameters)), nothing, nothing, nothing, 0.3, 1.0, 1)
     motion = FullObjectMotion(np.tile(np.eye(3), (4, 1, 1)), 0.0, four, four, four + 5, adjustment)
     quarter = np.pi / 2
     sides = [(0.0, k * quarter) for k in range(4)] + [(quarter, quarter), (quarter, -quarter)]

@@ -21,7 +21,7 @@ RNG = np.random.default_rng(0)
 TRUE = tilted_cam_from_world(AXIS, TILT, np.deg2rad(RNG.normal(0, 0.2, VIEWS))) @ roll_rotation(ROTATION)
 
 
-def dome(sense: float = 1.0, rotation_error_deg: float = 0.3) -> tuple[TiltSeries, Observations]:
+def dome(sense: float = 1.0, rotation_error_deg: float = 0.3) -> tuple[TiltSeries, Observations, np.ndarray]:
     rng = np.random.default_rng(1)
     normals = rng.normal(size=(400, 3))
     normals[:, 2] = np.abs(normals[:, 2])
@@ -44,7 +44,7 @@ def dome(sense: float = 1.0, rotation_error_deg: float = 0.3) -> tuple[TiltSerie
         )
         for index, (t, r) in enumerate(zip(told_tilt, told_rotation, strict=True))
     )
-    return TiltSeries(views), Observations(view.astype(np.int64), point.astype(np.int64), xy)
+    return TiltSeries(views), Observations(view.astype(np.int64), point.astype(np.int64), xy), seen
 
 
 def relative_errors_deg(found: FullObjectMotion) -> np.ndarray:
@@ -57,12 +57,49 @@ def relative_errors_deg(found: FullObjectMotion) -> np.ndarray:
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_rotations_all_around(sense: float) -> None:
-    series, observations = dome(sense)
+    series, observations, _ = dome(sense)
     found = calibrate_full_object(series, observations, SfmOptions())
     error = relative_errors_deg(found)
     assert 0.001 < np.sqrt(np.mean(error**2)) < 0.1  # the stage's rotation errs by 0.3
     assert np.cos(2 * (found.axis_angle_rad - AXIS)) > 0.99
     assert found.adjustment.sigma_px == pytest.approx(0.3, rel=0.1)
+    assert sense * found.sense_margin > 1000
+    assert not found.doubts
+
+
+@pytest.mark.parametrize("told", [1.0, -1.0])
+def test_the_sign_of_the_tilts_decides_the_hand(told: float) -> None:
+    """The mirrored body under reversed tilts gives the same images: what is told decides, whatever the axis."""
+    series, observations, true_um = dome()
+    views = tuple(
+        replace(view, metadata=replace(view.metadata, tilt_rad=told * view.metadata.tilt_rad)) for view in series.views
+    )
+    found = calibrate_full_object(replace(series, views=views), observations, SfmOptions())
+    points = found.adjustment.points_um
+    onto = np.linalg.lstsq(true_um - true_um.mean(axis=0), points - points.mean(axis=0), rcond=None)[0]
+    assert np.linalg.det(onto) == pytest.approx(told, abs=0.05)
+    assert found.adjustment.sigma_px == pytest.approx(0.3, rel=0.1)
+
+
+def test_where_no_track_tells_the_sense_it_is_as_conventions_have_it() -> None:
+    """Tracks within groups of one rotation alone: both senses fit alike, and that is said."""
+    series, _, _ = dome()
+    rotation = np.repeat(ROTATION[::3], 3)
+    tilt = np.tile(np.deg2rad([30.0, 36.0, 42.0]), 4)
+    rng = np.random.default_rng(3)
+    cameras = tilted_cam_from_world(AXIS, tilt, np.zeros(VIEWS)) @ roll_rotation(rotation)
+    point = np.repeat(np.arange(200), 3)
+    view = (3 * (np.arange(200) % 4)[:, None] + np.arange(3)).ravel()
+    xy = SCALE * np.einsum("kij,kj->ki", cameras[view][:, :2], rng.normal(0, 10, (200, 3))[point])
+    views = tuple(
+        replace(one, metadata=replace(one.metadata, tilt_rad=float(t), stage_rotation_rad=float(r)))
+        for one, t, r in zip(series.views, tilt, rotation, strict=True)
+    )
+    observations = Observations(view, point, xy + rng.normal(400, 0.3, xy.shape))
+    found = calibrate_full_object(TiltSeries(views), observations, SfmOptions())
+    np.testing.assert_allclose(found.rotation_rad, rotation, atol=np.deg2rad(2))
+    assert abs(found.sense_margin) < 1
+    assert "seen from the electron source" in found.doubts[0]
 
 
 def test_derivatives_equal_finite_differences() -> None:
@@ -81,7 +118,7 @@ def test_derivatives_equal_finite_differences() -> None:
 
 
 def test_a_view_without_rotation_is_named() -> None:
-    series, observations = dome()
+    series, observations, _ = dome()
     views = list(series.views)
     views[3] = replace(views[3], metadata=replace(views[3].metadata, stage_rotation_rad=np.nan))
     with pytest.raises(BadInputError, match=r"3\.tif: .* the rotation of every view"):

@@ -22,13 +22,13 @@ def solved(distance_um: float, camera: str) -> Reconstruction:
 
 @pytest.fixture(scope="module")
 def near() -> Reconstruction:
-    return solved(2000.0, "auto")
+    return solved(300.0, "auto")
 
 
 def test_auto_takes_the_perspective_camera_where_the_images_show_it(near: Reconstruction) -> None:
     assert near.camera == "perspective"
-    assert near.camera_margin > 10
-    assert abs(near.inverse_distance_per_um - 1 / 2000) < 3 * near.inverse_distance_sigma_per_um
+    assert near.camera_margin > 500
+    assert abs(near.inverse_distance_per_um - 1 / 300) < 3 * near.inverse_distance_sigma_per_um
     assert any("the perspective camera is taken, for the images show it" in warning for warning in near.warnings)
 
 
@@ -40,6 +40,9 @@ def test_auto_stays_parallel_where_it_is(near: Reconstruction) -> None:
 
 
 def test_the_perspective_camera_fits_better(near: Reconstruction) -> None:
-    flat = solved(2000.0, "orthographic")
+    """Outliers, which parallel projection takes for noise, are judged again: the noise of the keypoints is left."""
+    flat = solved(300.0, "orthographic")
     assert np.isnan(flat.camera_margin)
-    assert near.rms_px < 0.99 * flat.rms_px
+    assert flat.rms_px > 0.6
+    assert near.rms_px == pytest.approx(0.3, abs=0.05)
+    assert not near.contradictions

@@ -130,6 +130,8 @@ def run_object_into(
         found = reconstruct_object_folder(folder, output, options, workers=workers, progress=progress)
     if quiet:
         return
+    for warning in found.motion.doubts if lines else ():
+        print_line(f"warning: {warning}", console(err=True), "yellow")
     mesh, measured = found.merged.mesh, found.merged.measured
     print_line(f"{len(mesh.faces):,} triangles from {len(found.maps)} groups of views", console())
     print_line(f"{measured:.0%} of the surface is seen by views, the rest closes the body", console())

@@ -16,9 +16,9 @@ from semscape.experiments.study import Experiment, Figure, Setting, Table
 from semscape.options import SfmOptions
 from semscape.report.figures import drawn_png
 from semscape.sfm.adjust import adjust, robust_cost, with_translations
-from semscape.sfm.evolve import Evolution, evolve, search
-from semscape.sfm.models import PARAMETERS_PER_VIEW
-from semscape.sfm.priors import motion_prior
+from semscape.sfm.evolve import Evolution, Search, evolve, search
+from semscape.sfm.models import PARAMETERS_PER_VIEW, TiltSeriesModel
+from semscape.sfm.priors import MotionPrior, motion_prior
 from semscape.types import FloatArray
 
 if TYPE_CHECKING:
@@ -41,10 +41,14 @@ def run(setting: Setting) -> Experiment:
     for stage_sigma_deg in (0.1, None):
         tracks = _series(setting, stage_sigma_deg)
         told = "from the stage" if stage_sigma_deg else "from the images alone"
+        prior = motion_prior(tracks.series, SfmOptions())
+        # One search has weighted the tracks for all seeds, so that costs compare.
+        weighted = search(tracks.observations, prior, SfmOptions(), rng=np.random.default_rng(0))
         with local_mapper(setting.workers) as mapper:
             for strategy in STRATEGIES:
                 options = SfmOptions(de_strategy=strategy, de_generations=generations, de_tolerance=0.0)
-                curves += _curve_rows(told, strategy, list(mapper(partial(_record, tracks, options), seeds)))
+                record = partial(_record, weighted, prior, options)
+                curves += _curve_rows(told, strategy, list(mapper(record, seeds)))
             ends += _ends(told, tracks, seeds, mapper)
     curve_table = Table(
         "generations",
@@ -102,10 +106,7 @@ def _search(tracks: SimulatedTracks, seed: int) -> tuple[Evolution, float]:
     return found.evolution, time.perf_counter() - start
 
 
-def _record(tracks: SimulatedTracks, options: SfmOptions, seed: int) -> Evolution:
-    """Evolve on tracks that an earlier search, the same for all seeds, has weighted, so that costs compare."""
-    prior = motion_prior(tracks.series, options)
-    weighted = search(tracks.observations, prior, SfmOptions(), rng=np.random.default_rng(0))
+def _record(weighted: Search, prior: MotionPrior, options: SfmOptions, seed: int) -> Evolution:
     return evolve(weighted.patterns, prior, weighted.sigma_px, options, rng=np.random.default_rng([seed, 3]))
 
 
@@ -179,11 +180,11 @@ def _bottom(tracks: SimulatedTracks, ends: list[_End]) -> _End:
     """Return the refined end of least cost, all costs taken at one noise."""
     refined = [one for one in ends if one.parameters is not None]
     sigma_px = min(one.sigma_px for one in refined)
-    prior = motion_prior(tracks.series, SfmOptions())
+    model = TiltSeriesModel(motion_prior(tracks.series, SfmOptions()))
 
     def cost(one: _End) -> float:
         assert one.parameters is not None
-        return robust_cost(one.parameters, tracks.observations, prior, sigma_px)
+        return robust_cost(one.parameters, tracks.observations, model, sigma_px)
 
     return min(refined, key=cost)
 

@@ -49,11 +49,12 @@ def read_given_acquisition(folder: Path, options: InputOptions, names: Sequence[
     tilts, what = options.tilts_deg, "the tilts given"
     if not tilts and sidecar.tilts_deg:
         tilts, what = sidecar.tilts_deg, f"tilts_deg in {path}"
+    rotations = [sidecar.fields.get(name, {}).get("stage_rotation_rad", 0.0) for name in names]
     if tilts:
-        _check_tilts(tilts, names, what)
+        _check_tilts(tilts, rotations, names, what)
     elif sidecar.image_tilts_deg:
         tilts = sidecar.image_tilts_deg
-        _check_tilts(tilts, names, f"tilt_deg of the images in {path}", some_are_open=True)
+        _check_tilts(tilts, rotations, names, f"tilt_deg of the images in {path}", some_are_open=True)
     _check_length(options.pixel_size_um, "the pixel size given")
     _check_axis(options.axis_deg, "the axis given")
     _check_axis(sidecar.axis_deg, f"{path}: axis_deg")
@@ -76,7 +77,15 @@ def read_given_acquisition(folder: Path, options: InputOptions, names: Sequence[
     )
 
 
-def _check_tilts(tilts_deg: Sequence[float], names: Sequence[str], what: str, *, some_are_open: bool = False) -> None:
+def _check_tilts(
+    tilts_deg: Sequence[float],
+    rotations_rad: Sequence[float],
+    names: Sequence[str],
+    what: str,
+    *,
+    some_are_open: bool = False,
+) -> None:
+    """Refuse tilts that are too many or too few, out of range, or the same for two images of one stage rotation."""
     if len(tilts_deg) != len(names):
         raise BadInputError(
             f"{what}: {len(tilts_deg)} tilts for {len(names)} images; give one for each, in this order: "
@@ -85,9 +94,10 @@ def _check_tilts(tilts_deg: Sequence[float], names: Sequence[str], what: str, *,
     for name, tilt in zip(names, tilts_deg, strict=True):
         if not (abs(tilt) <= MAX_TILT_DEG or (math.isnan(tilt) and some_are_open)):
             raise BadInputError(f"{what}: {tilt:g} deg for {name}; a tilt must lie within +-{MAX_TILT_DEG:g} deg")
-    in_order = sorted((tilt, name) for tilt, name in zip(tilts_deg, names, strict=True) if not math.isnan(tilt))
-    for (tilt1, name1), (tilt2, name2) in pairwise(in_order):
-        if tilt2 - tilt1 < _DUPLICATE_TILT_DEG:
+    every = zip(rotations_rad, tilts_deg, names, strict=True)
+    in_order = sorted((rotation, tilt, name) for rotation, tilt, name in every if not math.isnan(tilt))
+    for (rotation1, tilt1, name1), (rotation2, tilt2, name2) in pairwise(in_order):
+        if rotation1 == rotation2 and tilt2 - tilt1 < _DUPLICATE_TILT_DEG:
             raise BadInputError(
                 f"{what}: {name1} and {name2} are both at {tilt1:g} deg; each image needs its own tilt: "
                 "correct the list or remove one of the two"

@@ -25,6 +25,14 @@ from semscape.types import FloatArray, StageReport, SurfaceMesh
 _PICTURE_PX = 360
 _SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
 _FROM_ABOVE_DEG = 25.0
+_VIEW_COLUMNS = {
+    "stage_tilt_deg": "Stage tilt (°)",
+    "tilt_deg": "Tilt (°)",
+    "tilt_sigma_deg": "±",
+    "stage_rotation_deg": "Stage rotation (°)",
+    "rotation_deg": "Rotation (°)",
+    "rotation_sigma_deg": "±",
+}
 
 
 def write_full_object(
@@ -80,14 +88,7 @@ def _figures(
             "volume": float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6),
             "noise_sigma_px": motion.adjustment.sigma_px,
         },
-        "views": [
-            {
-                "name": name,
-                "tilt_deg": math.degrees(motion.tilt_rad[k]),
-                "rotation_deg": math.degrees(motion.rotation_rad[k]),
-            }
-            for k, name in enumerate(names)
-        ],
+        "views": _views(found),
         "groups": [
             {
                 "views": [names[view] for view in placed.views],
@@ -97,6 +98,7 @@ def _figures(
             }
             for index, placed in enumerate(found.maps)
         ],
+        "warnings": list(motion.doubts),
         "failures": list(failures),
         "stages": [
             {"name": s.name, "seconds": s.seconds, "peak_memory_mb": s.peak_memory_mb, "figures": s.figures}
@@ -105,6 +107,25 @@ def _figures(
         "options": plain_json(options.to_dict()),
         "seed": options.run.seed,
     }
+
+
+def _views(found: FullObject) -> list[dict[str, Any]]:
+    """Return for each view what the stage says of it, and what was found with its standard deviation."""
+    motion = found.motion
+    sigma = np.sqrt(np.diag(motion.adjustment.covariance))[1:].reshape(-1, PARAMETERS_PER_VIEW)
+    sense = -1.0 if motion.clockwise else 1.0
+    return [
+        {
+            "name": view.name,
+            "stage_tilt_deg": math.degrees(view.metadata.tilt_rad),
+            "tilt_deg": math.degrees(motion.tilt_rad[k]),
+            "tilt_sigma_deg": math.degrees(sigma[k, 0]),
+            "stage_rotation_deg": math.degrees(sense * view.metadata.stage_rotation_rad),
+            "rotation_deg": math.degrees(motion.rotation_rad[k]),
+            "rotation_sigma_deg": math.degrees(sigma[k, 4]),
+        }
+        for k, view in enumerate(found.series.views)
+    ]
 
 
 def _reconstruction(found: FullObject) -> dict[str, Any]:
@@ -142,6 +163,8 @@ def _html(report: dict[str, Any], mesh: SurfaceMesh) -> str:
     if "decimation" in report:
         rows.append(["Decimated mesh, largest distance", f"{number(report['decimation']['largest'], 3)} {sign}"])
     groups = [[", ".join(item["views"]), number(100 * item["completeness"], 3)] for item in report["groups"]]
+    views = [[view["name"], *(number(view[key], 5) for key in _VIEW_COLUMNS)] for view in report["views"]]
+    doubts = "".join(f"<p>{escape(text)}</p>" for text in report["warnings"])
     picture = figure(
         sides_picture(mesh), "Merged surface", "Seen from four sides, from 25° above. Bluish: no view has seen it."
     )
@@ -154,6 +177,7 @@ def _html(report: dict[str, Any], mesh: SurfaceMesh) -> str:
         [
             header,
             f'<section><h2>Surface</h2><div class="wide">{picture}</div>{table(["", ""], rows)}</section>',
+            f"<section><h2>Motion</h2>{doubts}{table(['View', *_VIEW_COLUMNS.values()], views)}</section>",
             f"<section><h2>Groups</h2>{table(['Views', 'Heights known (%)'], groups)}</section>",
         ],
     )

@@ -36,15 +36,13 @@ class Adjustment:
     """The bottom of the adjustment.
 
     `parameters` (1 + 6 V,): axis angle, then per view tilt, roll, relative scale, anisotropy, x and y translation;
-    `covariance` their covariance; `points_um` (P, 3) and `points_covariance_um2` (P, 3, 3);
-    `residual_px` (K, 2); `weights` (K,) the robust weights; `sigma_px` the noise of one coordinate;
-    `cost` data plus prior terms.
+    `covariance` their covariance; `points_um` (P, 3); `residual_px` (K, 2); `weights` (K,) the robust weights;
+    `sigma_px` the noise of one coordinate; `cost` data plus prior terms.
     """
 
     parameters: FloatArray
     covariance: FloatArray
     points_um: FloatArray
-    points_covariance_um2: FloatArray
     residual_px: FloatArray
     weights: FloatArray
     sigma_px: float
@@ -118,11 +116,30 @@ def refine(
     parameters, cost, steps = problem.minimize(parameters, information, max_steps=200)
     hessian = problem.normal_equations(parameters, information).hessian
     covariance = model.covariance(hessian, parameters)
-    residual = problem.residuals(parameters, weights)
-    points, points_covariance = problem.points_with_covariance(parameters, information, covariance)
-    return Adjustment(
-        parameters, covariance, points, points_covariance, residual, weights, sigma_px, cost, iterations + steps
-    )
+    points, _, residual = problem.triangulate(parameters, weights)
+    return Adjustment(parameters, covariance, points, residual, weights, sigma_px, cost, iterations + steps)
+
+
+def points_covariance(
+    found: Adjustment, observations: Observations, model: MotionModel, overdispersion: float = 1.0
+) -> FloatArray:
+    """Return the covariances (P, 3, 3) um^2 of an adjustment's points: their own noise and that of all cameras.
+
+    Parameters
+    ----------
+    found : Adjustment
+        To the same observations, model and overdispersion.
+    """
+    problem = Problem(observations, model)
+    information = found.weights / (found.sigma_px**2 * overdispersion)
+    points, total, _ = problem.triangulate(found.parameters, information)
+    spread, axes = np.linalg.eigh(found.covariance)
+    for index in np.flatnonzero(spread > 1e-16 * spread[-1]):
+        nudge = axes[:, index] * np.sqrt(spread[index])
+        shift = problem.triangulate(found.parameters + nudge, information)[0] - points
+        shift -= shift.mean(axis=0)  # a common shift is the choice of origin, not an error
+        total += shift[:, :, None] * shift[:, None, :]
+    return total
 
 
 def with_translations(searched: FloatArray, observations: Observations, n_views: int) -> FloatArray:
@@ -141,7 +158,7 @@ def with_translations(searched: FloatArray, observations: Observations, n_views:
 def robust_cost(
     parameters: FloatArray,
     observations: Observations,
-    prior: MotionPrior,
+    model: MotionModel,
     sigma_px: float,
     overdispersion: float = 1.0,
 ) -> float:
@@ -150,7 +167,7 @@ def robust_cost(
     It is twice a negative log-posterior. `Adjustment.cost`, whose noise follows the residuals, cannot tell a good
     fit from a bad one.
     """
-    problem = Problem(observations, TiltSeriesModel(prior))
+    problem = Problem(observations, model)
     residual = problem.residuals(parameters, problem.cauchy_weights(parameters, sigma_px))
     width_px = _CAUCHY * sigma_px
     data = _CAUCHY**2 * float(np.log1p((residual**2).sum(axis=1) / width_px**2).sum()) / overdispersion
@@ -234,7 +251,7 @@ class Problem:
 
     def residuals(self, parameters: FloatArray, weights: FloatArray) -> FloatArray:
         """Return the residuals (K, 2) px, every point at its best for the given weights."""
-        return self._triangulate(parameters, weights)[2]
+        return self.triangulate(parameters, weights)[2]
 
     def cauchy_weights(self, parameters: FloatArray, sigma_px: float) -> FloatArray:
         """Return the robust weights (K,) of the observations for noise `sigma_px`."""
@@ -244,21 +261,8 @@ class Problem:
         )
         return weights
 
-    def points_with_covariance(
-        self, parameters: FloatArray, weights: FloatArray, covariance: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return points (P, 3) and their covariances (P, 3, 3): own noise and that of tilts and rolls."""
-        points, total, _ = self._triangulate(parameters, weights)
-        spread, axes = np.linalg.eigh(covariance)
-        strong = np.flatnonzero(spread > 1e-16 * spread[-1])
-        for index in strong:
-            nudge = axes[:, index] * np.sqrt(spread[index])
-            shift = self._triangulate(parameters + nudge, weights)[0] - points
-            shift -= shift.mean(axis=0)  # a common shift is the choice of origin, not an error
-            total += shift[:, :, None] * shift[:, None, :]
-        return points, total
-
-    def _triangulate(self, parameters: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def triangulate(self, parameters: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the points (P, 3) for given cameras, the covariances of their own noise, and residuals (K, 2) px."""
         matrices, _, translations = self.model.cameras(parameters)
         points, covariance, residual = solve_points(self.start, self.view, self.xy, weights, matrices, translations)
         if not np.isfinite(points).all():

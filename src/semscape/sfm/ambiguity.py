@@ -31,7 +31,7 @@ def mirror_margin(
     # Where the prior draws the mirrored start back over zero tilt, it ends where we are: then its start is the mirror.
     same_side = float(other[1::PARAMETERS_PER_VIEW] @ found.parameters[1::PARAMETERS_PER_VIEW]) > 0
     costs = [
-        robust_cost(parameters, observations, prior, found.sigma_px, overdispersion)
+        robust_cost(parameters, observations, TiltSeriesModel(prior), found.sigma_px, overdispersion)
         for parameters in (found.parameters, mirrored if same_side else other)
     ]
     return costs[1] - costs[0]

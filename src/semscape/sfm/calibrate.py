@@ -16,12 +16,12 @@ from semscape.geometry.cameras import (
 )
 from semscape.geometry.rotations import wrap_axis_angle
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import Adjustment, adjust, with_translations
+from semscape.sfm.adjust import Adjustment, adjust, points_covariance, with_translations
 from semscape.sfm.ambiguity import height_scale_relative_sigma, images_height_scale_sigma, mirror_margin
 from semscape.sfm.anisotropy import adjust_learning_anisotropy
 from semscape.sfm.drift import ScanDrift, fit_drift
 from semscape.sfm.evolve import Evolution, evolve, search
-from semscape.sfm.models import PARAMETERS_PER_VIEW
+from semscape.sfm.models import PARAMETERS_PER_VIEW, TiltSeriesModel
 from semscape.sfm.noise import free_share, residual_overdispersion
 from semscape.sfm.perspective import PerspectiveFit, fit_perspective
 from semscape.sfm.plausibility import (
@@ -97,7 +97,8 @@ def calibrate(
             "check that all images show the same field of the specimen, or tilt in smaller steps"
         )
     prior = motion_prior(series, options)
-    doubts = require_parallax(series, observations, prior)
+    no_parallax = require_parallax(series, observations, prior)
+    doubts: list[str] = []
 
     found = search(observations, prior, options, rng=rng)
     if not prior.self_calibrated and series.n_views > 2:
@@ -127,10 +128,25 @@ def calibrate(
     perspective = None
     if options.camera != "orthographic":
         perspective = _perspective(series, kept, final, learnt, options, overdispersion)
-        if options.camera == "perspective" or perspective.margin > 0:
+        if _is_taken(perspective, options):
+            # Parallel projection has made the noise look larger, and shared by neighbours: outliers are judged again.
+            left, again, overdispersion = _kept(perspective.observations, perspective.adjustment, series.n_views)
+            kept, as_seen = replace(left, xy=kept.xy[again]), as_seen[again]
+            final = adjust(
+                final.parameters,
+                kept,
+                learnt,
+                max_iterations=options.max_iterations,
+                overdispersion=overdispersion,
+            )
+            perspective = _perspective(series, kept, final, learnt, options, overdispersion)
+        if _is_taken(perspective, options):
             kept, final = perspective.observations, perspective.adjustment
+            no_parallax = require_parallax(series, kept, prior)  # perspective had spread the points both ways
+    doubts = no_parallax + doubts
+    points_variance_um2 = np.einsum("pii->pi", points_covariance(final, kept, TiltSeriesModel(prior), overdispersion))
     reconstruction = replace(
-        _reconstruction(series, replace(kept, xy=as_seen), final, prior, options, doubts),
+        _reconstruction(series, replace(kept, xy=as_seen), final, points_variance_um2, prior, options, doubts),
         prior_mean=prior.centre_and_sigma()[0],
         prior_sigma=replace(learnt, anisotropy_sigma=learnt.expected_anisotropy).centre_and_sigma()[1],
         mirror_margin=mirror_margin(kept, final, learnt, options, overdispersion),
@@ -139,6 +155,10 @@ def calibrate(
     if perspective is not None:
         reconstruction = _with_camera(series, reconstruction, perspective, final, options)
     return Calibration(reconstruction, found.evolution, final.sigma_px, overdispersion, drift_px)
+
+
+def _is_taken(perspective: PerspectiveFit, options: SfmOptions) -> bool:
+    return options.camera == "perspective" or perspective.margin > 0
 
 
 def _kept(observations: Observations, adjustment: Adjustment, n_views: int) -> tuple[Observations, BoolArray, float]:
@@ -243,6 +263,7 @@ def _reconstruction(
     series: TiltSeries,
     observations: Observations,
     final: Adjustment,
+    points_variance_um2: FloatArray,
     prior: MotionPrior,
     options: SfmOptions,
     doubts: list[str],
@@ -272,7 +293,7 @@ def _reconstruction(
     return Reconstruction(
         motion=motion,
         points_um=points,
-        points_sigma_um=np.sqrt(np.maximum(np.einsum("pii->pi", final.points_covariance_um2), 0)),
+        points_sigma_um=np.sqrt(np.maximum(points_variance_um2, 0)),
         observations=observations,
         residual_px=final.residual_px,
         weights=final.weights,

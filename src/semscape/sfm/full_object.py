@@ -2,7 +2,7 @@
 
 Here no axis is shared by all views in the world, and every rotation is free about what the stage says. The tilt and
 the rotation of every view must be told: nothing is searched but the direction of the stage's tilt axis in the
-images and the sense in which its rotation is read. This is the motion alone; the dense stage is for single-axis series.
+images and the sense in which its rotation is read.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from semscape.errors import BadInputError
 from semscape.geometry.rotations import roll_rotation, tilted_cam_from_world
 from semscape.options import SfmOptions
-from semscape.sfm.adjust import Adjustment, refine
+from semscape.sfm.adjust import Adjustment, refine, robust_cost
 from semscape.sfm.eliminated import eliminated_cost, pattern_scatters
 from semscape.sfm.models import camera_jacobians as tilted_jacobians
 from semscape.sfm.models import cross_matrix, inverted
@@ -23,7 +23,11 @@ from semscape.types import FloatArray, Observations, TiltSeries
 PARAMETERS_PER_VIEW = 7  # tilt, roll, relative scale, anisotropy, stage rotation, x and y translation
 _ROTATION_SIGMA_RAD = np.deg2rad(0.5)
 _AXIS_STEPS = 180
+# Counter-clockwise seen from the electron source, and clockwise.
+_SENSES = (1.0, -1.0)
 _MOST_PATTERNS = 200
+# Twice a logarithm of likelihoods by which tracks must speak for the sense that is not told.
+_CLEAR_MARGIN = 20.0
 
 
 class FullObjectModel:
@@ -70,7 +74,8 @@ class FullObjectModel:
 class FullObjectMotion:
     """The rotations (V, 3, 3) from world to camera, with the adjustment that gave them.
 
-    The parameters of `adjustment` are those of `FullObjectModel`.
+    The parameters of `adjustment` are those of `FullObjectModel`. `sense_margin` is by how much the stage's rotation,
+    read clockwise, costs more than counter-clockwise, twice a logarithm of likelihoods; near 0 no track tells.
     """
 
     cam_from_world: FloatArray
@@ -79,6 +84,40 @@ class FullObjectMotion:
     rotation_rad: FloatArray
     scale_px_per_um: FloatArray
     adjustment: Adjustment
+    sense_margin: float = 0.0
+
+    @property
+    def clockwise(self) -> bool:
+        """Whether the tracks say clearly that the stage's rotation is told clockwise."""
+        return self.sense_margin < -_CLEAR_MARGIN
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What the images leave open."""
+        if abs(self.sense_margin) >= _CLEAR_MARGIN:
+            return ()
+        return (
+            "too few tracks tie views of different stage rotations to tell in which sense the stage turns (margin "
+            f"{abs(self.sense_margin):.1f}, need {_CLEAR_MARGIN:g}): rotations are read counter-clockwise, seen from "
+            "the electron source. If the sides do not fit together, give stage_rotation_deg with the opposite signs, "
+            "or take more rotations with smaller steps",
+        )
+
+
+def require_stage(series: TiltSeries) -> None:
+    """Refuse a series of which not every tilt and rotation is known.
+
+    Raises
+    ------
+    BadInputError
+        With the name of the first such view.
+    """
+    for view in series.views:
+        if not np.isfinite([view.metadata.tilt_rad, view.metadata.stage_rotation_rad]).all():
+            raise BadInputError(
+                f"{view.name}: a full object needs the tilt and the rotation of every view; give tilt_deg and "
+                f'stage_rotation_deg in series.toml, under [images."{view.name}"]'
+            )
 
 
 def calibrate_full_object(series: TiltSeries, observations: Observations, options: SfmOptions) -> FullObjectMotion:
@@ -102,19 +141,20 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
     """
     tilt = series.tilt_rad
     rotation = np.array([view.metadata.stage_rotation_rad for view in series.views])
-    for name, one_tilt, one_rotation in zip(series.names, tilt, rotation, strict=True):
-        if not np.isfinite([one_tilt, one_rotation]).all():
-            raise BadInputError(f"{name}: a series with stage rotation needs the tilt and the rotation of every view")
     scale = 1.0 / series.pixel_size_um
-    axis, sense = _axis_and_sense(tilt, rotation, scale, observations)
-    model = FullObjectModel(tilt, sense * rotation, scale, options)
-    start = np.zeros(1 + PARAMETERS_PER_VIEW * series.n_views)
-    start[0] = axis
-    start[model.prior_index] = model.prior_centre
-    for offset in (0, 1):
-        total = np.bincount(observations.view, observations.xy[:, offset], minlength=series.n_views)
-        start[model.index[:, -2 + offset]] = total / np.maximum(np.bincount(observations.view), 1)
-    found = refine(start, observations, model, max_iterations=options.max_iterations)
+    require_stage(series)
+    axes = _axes(tilt, rotation, scale, observations)
+    models = {sense: FullObjectModel(tilt, sense * rotation, scale, options) for sense in _SENSES}
+    ends = {
+        sense: refine(
+            _start(axes[sense], model, observations), observations, model, max_iterations=options.max_iterations
+        )
+        for sense, model in models.items()
+    }
+    sigma_px = min(end.sigma_px for end in ends.values())
+    cost = {sense: robust_cost(ends[sense].parameters, observations, models[sense], sigma_px) for sense in _SENSES}
+    margin = cost[-1.0] - cost[1.0]
+    found = ends[-1.0 if margin < -_CLEAR_MARGIN else 1.0]  # as `FullObjectMotion.clockwise`
     per_view = found.parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
     rotations = tilted_cam_from_world(found.parameters[0], per_view[:, 0], per_view[:, 1]) @ roll_rotation(
         per_view[:, 4]
@@ -126,22 +166,30 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
         per_view[:, 4].copy(),
         scale * (1 + per_view[:, 2]),
         found,
+        margin,
     )
 
 
-def _axis_and_sense(
-    tilt: FloatArray, rotation: FloatArray, scale: FloatArray, observations: Observations
-) -> tuple[float, float]:
-    """Return the direction of the tilt axis and the sense of the rotation under which the tracks agree best."""
+def _start(axis_rad: float, model: FullObjectModel, observations: Observations) -> FloatArray:
+    views = len(model.index)
+    start = np.zeros(1 + PARAMETERS_PER_VIEW * views)
+    start[0] = axis_rad
+    start[model.prior_index] = model.prior_centre
+    for offset in (0, 1):
+        total = np.bincount(observations.view, observations.xy[:, offset], minlength=views)
+        start[model.index[:, -2 + offset]] = total / np.maximum(np.bincount(observations.view, minlength=views), 1)
+    return start
+
+
+def _axes(tilt: FloatArray, rotation: FloatArray, scale: FloatArray, observations: Observations) -> dict[float, float]:
+    """Return for each sense of the rotation the direction of the tilt axis under which the tracks agree best."""
     patterns = pattern_scatters(observations, len(tilt), np.ones(observations.n_points)).strongest(_MOST_PATTERNS)
     # Half a turn alone, that of the conventions: with the axis reversed every tilt is, and the images of the mirrored
     # object are the same.
     axes = -np.pi / 4 + np.arange(1, _AXIS_STEPS + 1) * np.pi / _AXIS_STEPS
-    senses = (1.0, -1.0)
     turned = tilted_cam_from_world(axes[:, None], tilt, np.zeros(len(tilt)))
-    matrices = np.stack(
-        [(turned @ roll_rotation(sense * rotation))[..., :2, :] * scale[:, None, None] for sense in senses]
-    )
-    cost = eliminated_cost(matrices.reshape(-1, len(tilt), 2, 3), patterns).reshape(len(senses), -1)
-    best = int(np.argmin(cost))
-    return float(axes[best % _AXIS_STEPS]), senses[best // _AXIS_STEPS]
+    best = {}
+    for sense in _SENSES:
+        matrices = (turned @ roll_rotation(sense * rotation))[..., :2, :] * scale[:, None, None]
+        best[sense] = float(axes[np.argmin(eliminated_cost(matrices, patterns))])
+    return best

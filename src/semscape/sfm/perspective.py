@@ -14,6 +14,7 @@ import numpy as np
 
 from semscape.geometry.cameras import PerspectiveCamera, ScaledOrthographicCamera
 from semscape.sfm.adjust import Adjustment, robust_cost
+from semscape.sfm.models import TiltSeriesModel
 from semscape.sfm.priors import MotionPrior
 from semscape.types import FloatArray, Observations
 
@@ -67,7 +68,7 @@ def fit_perspective(
     ----------
     Schwarz 1978, doi:10.1214/aos/1176344136 (information criterion).
     """
-    sigma_px = parallel.sigma_px
+    sigma_px, model = parallel.sigma_px, TiltSeriesModel(prior)
 
     def correction(found: Adjustment, inverse_distance: float) -> FloatArray:
         parallel_cameras, cameras = cameras_at(found.parameters, inverse_distance)
@@ -82,7 +83,7 @@ def fit_perspective(
         for _ in range(_ROUNDS):
             corrected = replace(observations, xy=observations.xy - correction(found, inverse_distance))
             found = refit(found.parameters, corrected)
-        return corrected, found, robust_cost(found.parameters, corrected, prior, sigma_px, overdispersion)
+        return corrected, found, robust_cost(found.parameters, corrected, model, sigma_px, overdispersion)
 
     unit = 1e-6 / float(np.ptp(parallel.points_um[:, :2]))
     step = unit * 3 * sigma_px / float(np.sqrt(np.mean(correction(parallel, unit) ** 2)))

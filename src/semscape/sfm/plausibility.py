@@ -67,8 +67,8 @@ def require_one_axis(series: TiltSeries) -> None:
         raise BadInputError(
             f"the stage was rotated between {series.names[first]} ({np.rad2deg(rotation[first]):.1f} deg) and "
             f"{series.names[far]} ({np.rad2deg(rotation[far]):.1f} deg): a surface needs views that are tilted about "
-            "one axis. Leave the rotated views out, or correct stage_rotation_deg in series.toml. The cameras of views "
-            "all around a specimen are found by semscape.sfm.full_object.calibrate_full_object, from Python"
+            "one axis. Leave the rotated views out, or correct stage_rotation_deg in series.toml. Views all around a "
+            "specimen, three tilts at each rotation, become one closed surface with --full-object"
         )
 
 
@@ -92,16 +92,15 @@ def require_parallax(series: TiltSeries, observations: Observations, prior: Moti
                 f"the stage tilts span {span:.2f} deg, need {_LEAST_TILT_SPAN_DEG}: without a change of tilt there is "
                 "no parallax, so no height"
             )
-    largest = 0.0
-    for i1 in range(series.n_views):
-        for i2 in range(i1 + 1, series.n_views):
-            largest = max(largest, _parallax_px(observations, i1, i2))
-    if largest >= _LEAST_PARALLAX_PX:
+    spreads = [_spread_px(observations, i1, i2) for i1, i2 in combinations(range(series.n_views), 2)]
+    if any(_is_parallax(*spread) for spread in spreads):
         return []
+    along, across = max(spreads, key=lambda spread: spread[0] ** 2 - spread[1] ** 2)
     finding = (
-        f"no parallax: between any two of {series.n_views} views the points move by at most {largest:.2f} px rms "
-        f"along one direction against a common affine map, need {_LEAST_PARALLAX_PX} px. The images are the same "
-        "picture, the specimen is flat, or the tilts are too small"
+        f"no parallax: about a common affine map the points of any two of {series.n_views} views spread by at most "
+        f"{along:.2f} px rms along one direction, and by {across:.2f} px of noise across it; needed are "
+        f"{_LEAST_PARALLAX_PX} px beyond the noise. The images are the same picture, the specimen is flat, or the "
+        "tilts are too small"
     )
     if prior.self_calibrated:
         raise DegenerateGeometryError(
@@ -111,21 +110,26 @@ def require_parallax(series: TiltSeries, observations: Observations, prior: Moti
     return [finding]
 
 
-def _parallax_px(observations: Observations, i1: int, i2: int) -> float:
-    """Return how far the points of two views spread along their parallax, beyond noise, in px rms.
+def _spread_px(observations: Observations, i1: int, i2: int) -> tuple[float, float]:
+    """Return how far the points of two views spread about the affine map between them, in px rms.
 
-    About the affine map between the views, parallax acts along one direction and noise along both.
+    Parallax acts along one direction, noise along both: the spread along the widest direction and across it.
     """
     xy1, xy2 = shared_points(observations, i1, i2)
     if len(xy1) < _LEAST_SHARED:
-        return 0.0
+        return 0.0, 0.0
     design = np.column_stack([xy1 - xy1.mean(axis=0), np.ones(len(xy1))])
     solution, *_ = np.linalg.lstsq(design, xy2, rcond=None)
     residual = xy2 - design @ solution
     length = np.linalg.norm(residual, axis=1)
     residual = residual[length <= 5 * np.median(length) + 1e-12]
-    across, along = np.linalg.eigvalsh(residual.T @ residual / len(residual))
-    return float(np.sqrt(along - across)) if along > _PARALLAX_OVER_NOISE * across else 0.0
+    across, along = np.sqrt(np.maximum(np.linalg.eigvalsh(residual.T @ residual / len(residual)), 0.0))
+    return float(along), float(across)
+
+
+def _is_parallax(along_px: float, across_px: float) -> bool:
+    beyond_noise = along_px**2 - across_px**2
+    return beyond_noise >= _LEAST_PARALLAX_PX**2 and along_px**2 > _PARALLAX_OVER_NOISE * across_px**2
 
 
 def shared_points(observations: Observations, i1: int, i2: int) -> tuple[FloatArray, FloatArray]:
@@ -140,8 +144,9 @@ def height_scale_warnings(height_scale_sigma: float, prior: MotionPrior) -> list
     if height_scale_sigma <= _WIDE_HEIGHT_SCALE:
         return []
     reason = (
-        "the tilts come from the images alone, where a scan anisotropy of 0.05 % already moves them; give the "
-        "stage tilts (--tilts) or take more views over a wider range"
+        f"the tilts come from the images alone, and the scan's x and y scales are expected to differ by "
+        f"{prior.anisotropy_sigma:.2%} between views (sfm.prior_anisotropy), which moves them; give the stage tilts "
+        "(--tilts), take more views over a wider range, or tell a steadier scan if this microscope has shown one"
         if prior.self_calibrated
         else "the tilt range is small against the stage's error; tilt farther"
     )
