@@ -45,6 +45,7 @@ _NOISE_PX = 6.0
 _WIDTHS_PX = (1.5, 3.0, 6.0, 12.0)
 _ALL_AGREE = 0.5
 _LEAST_SAMPLE = 1000
+_SAMPLED_PX = 2
 _JUMP_PX = 1.0
 _SPIKE_PX = 5
 _MAX_STEP_PX = 0.5
@@ -176,13 +177,19 @@ def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray) -> _Nois
     freedom = count - 2
     # The median of a mean of squares lies below the mean.
     median = chi2.ppf(0.5, freedom) / freedom
+    # Neighbours say nearly the same: a part of the pixels is enough.
+    sample = np.ix_(*(np.arange(1, size, _SAMPLED_PX) for size in known.shape))
+    used = good[sample]
+    power = np.asarray(seen.slope**2, np.float32)
+    shifts = [np.asarray(seen.slope * view, np.float32) for view in residual]
+    alone = np.asarray(alone * power, np.float32)
     inflation = []
     for width in _WIDTHS_PX:
-        shifts = np.stack([gaussian_window(seen.slope * view, width)[good] for view in residual])
-        scatter = ((unexplained @ shifts) ** 2).sum(axis=0) / freedom
-        independent = gaussian_window(alone * seen.slope**2, width / np.sqrt(2.0))[good] / (4 * np.pi * width**2)
+        scattered = np.stack([gaussian_window(shift, width)[sample][used] for shift in shifts])
+        scatter = ((unexplained @ scattered) ** 2).sum(axis=0) / freedom
+        independent = gaussian_window(alone, width / np.sqrt(2.0))[sample][used] / (4 * np.pi * width**2)
         inflation.append(max(float(np.median(scatter / np.maximum(independent, 1e-12)) / median), 1.0))
-    texture = np.maximum(gaussian_window(seen.slope**2, _WIDTHS_PX[-1])[good], 1e-9)
+    texture = np.maximum(gaussian_window(power, _WIDTHS_PX[-1])[sample][used], 1e-9)
     leverage = float(((parallax - parallax.mean()) ** 2).sum())
     slow = float(np.median(scatter / texture**2) / median) / leverage
     # A shift that all pixels of a window share grows with the window's area beside independent noise. No smoothing
