@@ -168,19 +168,19 @@ def most_probable(
 
     The change is solved for, so single precision is enough; sums are in double precision and in one order.
     """
-    weights = tuple((w * prior.weight / prior.variance).astype(np.float32) for w in cut)
+    wxx, wyy, wxy = ((w * prior.weight / prior.variance).astype(np.float32) for w in cut)
     stiffness = data.stiffness.astype(np.float32)
     offset = float(height.mean())
     pulled = np.empty(height.shape, np.float32)
-    _apply((height - offset).astype(np.float32), np.zeros_like(stiffness), *weights, pulled)
+    _apply((height - offset).astype(np.float32), np.zeros_like(stiffness), wxx, wyy, wxy, pulled)
     residual = data.pull.astype(np.float32) - pulled
-    inverse = np.float32(1) / np.maximum(stiffness + _prior_diagonal(*weights), np.float32(1e-9))
+    inverse = np.float32(1) / np.maximum(stiffness + _prior_diagonal(wxx, wyy, wxy), np.float32(1e-9))
     change, direction, product = np.zeros_like(residual), residual * inverse, np.empty_like(residual)
     power = start = float(np.sum(residual * direction, dtype=np.float64))
     for _ in range(_MOST_STEPS):
         if power <= _TOLERANCE**2 * start or power == 0:
             break
-        step = power / _apply(direction, stiffness, *weights, product)
+        step = power / _apply(direction, stiffness, wxx, wyy, wxy, product)
         power, last = _descend(np.float32(step), direction, product, inverse, change, residual), power
         _turn(np.float32(power / last), inverse, residual, direction)
     return height + change
@@ -234,7 +234,7 @@ def _apply(h: Plane, k: Plane, wxx: Plane, wyy: Plane, wxy: Plane, out: Plane) -
                 corner[c + 1] = two * wxy[r, c] * (own[c] - own[c + 1] - next_row[c] + next_row[c + 1])
         else:
             corner[:] = zero
-        row_total = zero
+        row_total = 0.0
         for c in range(cols):
             value = k[r, c] * own[c] + along[c] - two * along[c + 1] + along[c + 2]
             value += above[c] - two * middle[c] + below[c]
@@ -252,7 +252,7 @@ def _descend(
     """Go along the direction, in place, and return the residual's power."""
     total = 0.0
     for r in range(len(change)):
-        row_total = np.float32(0)
+        row_total = 0.0
         for c in range(change.shape[1]):
             change[r, c] += step * direction[r, c]
             left = residual[r, c] - step * product[r, c]
