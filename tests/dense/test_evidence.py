@@ -112,6 +112,16 @@ def test_refining_lowers_the_error_and_knows_it() -> None:
     assert 0.4 < np.mean(error < found.uncertainty[inner]) < 0.95
 
 
+def test_the_ridge_of_a_roof_is_less_sure_than_its_flanks() -> None:
+    """Smoothing rounds off a ridge, which the variance of the neighbourhood does not tell."""
+    true = np.tile(30 - 0.6 * np.abs(COLUMNS - 75), (SHAPE[0], 1))
+    found = refine_by_evidence(true, look_at(true[0]))
+    rows = np.s_[15:-15]
+    ridge, flanks = found.uncertainty[rows, 73:78], found.uncertainty[rows, [*range(45, 60), *range(90, 105)]]
+    assert np.median(ridge) > 1.05 * np.median(flanks)
+    assert np.mean(np.abs(found.height - true)[rows, 73:78] < ridge) > 0.4
+
+
 def test_an_unknown_map_stays_unknown() -> None:
     unknown = np.full(SHAPE, np.nan)
     assert np.isnan(refine_by_evidence(unknown, look_at(np.zeros(SHAPE[1]))).height).all()
