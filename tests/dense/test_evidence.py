@@ -112,14 +112,12 @@ def test_refining_lowers_the_error_and_knows_it() -> None:
     assert 0.4 < np.mean(error < found.uncertainty[inner]) < 0.95
 
 
-def test_the_ridge_of_a_roof_is_less_sure_than_its_flanks() -> None:
-    """Smoothing rounds off a ridge, which the variance of the neighbourhood does not tell."""
-    true = np.tile(30 - 0.6 * np.abs(COLUMNS - 75), (SHAPE[0], 1))
+def test_sigma_holds_on_the_ridge_of_a_roof() -> None:
+    """Smoothing rounds off a ridge, which the variance of the neighbourhood does not tell: without it 0.39."""
+    true = np.tile(30 - np.abs(COLUMNS - 75), (SHAPE[0], 1))
     found = refine_by_evidence(true, look_at(true[0]))
-    rows = np.s_[15:-15]
-    ridge, flanks = found.uncertainty[rows, 73:78], found.uncertainty[rows, [*range(45, 60), *range(90, 105)]]
-    assert np.median(ridge) > 1.05 * np.median(flanks)
-    assert np.mean(np.abs(found.height - true)[rows, 73:78] < ridge) > 0.4
+    ridge = np.s_[15:-15, 73:78]
+    assert 0.5 < np.mean(np.abs(found.height - true)[ridge] < found.uncertainty[ridge]) < 0.9
 
 
 def test_an_unknown_map_stays_unknown() -> None:
