@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from semscape.dense.semi_global import least_cost
 from semscape.dense.sweep import sharpen_jumps
@@ -38,6 +39,21 @@ def test_an_unknown_patch_that_the_views_agree_on_is_filled() -> None:
     filled = sharpen_jumps(holed, look_at(plane))[40:50, 60:75]
     assert np.isfinite(filled).mean() > 0.5
     assert np.nanmedian(np.abs(filled - 15)) < 2.5
+
+
+def test_a_patch_that_no_two_views_agree_on_stays_unknown() -> None:
+    """Without texture the views differ by their noise alone, whatever the height: that is no agreement."""
+    plane = np.full(SHAPE[1], 15.0)
+    holed = np.tile(plane, (SHAPE[0], 1))
+    patch = np.s_[35:55, 55:80]
+    holed[patch] = np.nan
+    bare, textured = look_at(plane), look_at(plane)
+    rng = np.random.default_rng(8)
+    for sampler in bare.samplers:
+        around = sampler.image[25:65, 45:90]
+        around[:] = 128 + gaussian_filter(rng.normal(0, 4, around.shape), 0.5)
+    assert np.isfinite(sharpen_jumps(holed, textured)[patch]).mean() > 0.5
+    assert np.isfinite(sharpen_jumps(holed, bare)[patch]).mean() < 0.1
 
 
 def test_where_nothing_is_known_nothing_is_invented() -> None:

@@ -46,6 +46,7 @@ _NOISE_PX = 6.0
 _WIDTHS_PX = (1.5, 3.0, 6.0, 12.0)
 _ALL_AGREE = 0.5
 _LEAST_SAMPLE = 1000
+_SAMPLED_PX = 2
 _JUMP_PX = 1.0
 _SPIKE_PX = 5
 _MAX_STEP_PX = 0.5
@@ -53,9 +54,10 @@ _START_TAU = 0.5
 # The noise of the given heights' disparity, and over how many pixels it errs alike.
 _GIVEN_NOISE_PX = 0.6
 _GIVEN_CORRELATED = 10.0
-# Beside a jump: how far the views' windows reach, and how well its place is known.
+# Beside a jump: how far the views' windows reach, and over what they are asked again.
 _BESIDE_PX = 6
 _PLACE_PX = 1.5
+_CREASE_PX = 2.0
 # With two views nothing tells how their pulls scatter.
 _PAIR_INFLATION = 4.0
 # Patches smaller than this, and than this share of the field, that stand alone are chance agreements of noise.
@@ -125,15 +127,20 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
         seen = compare_views(height, known, views.samplers, views.parallax, _NORMALIZING_PX)
         noise = _noise(seen, known, views.parallax)
         divisor = noise.variance * np.exp(np.interp(np.log(width), np.log(_WIDTHS_PX), np.log(noise.inflation)))
-        stiffness = np.where(beside, held, known * seen.slope**2 * seen.leverage / divisor)
-        pull = -1.0 * known * sum(seen.pull(i) for i in range(len(views.samplers))) / divisor
-        data = DataTerm(stiffness, np.where(beside, held * (given - height), pull))
+        sharpness = known * seen.slope**2 * seen.leverage
+        pull = -1.0 * known * sum(seen.pull(i) for i in range(len(views.samplers)))
+        stiffness = np.where(beside, held, sharpness / divisor)
+        data = DataTerm(stiffness, np.where(beside, held * (given - height), pull / divisor))
         moved = most_probable(height, data, cut, prior)
         height = np.clip(moved, height - _MAX_STEP_PX / base, height + _MAX_STEP_PX / base)
         prior = smoothness_by_evidence(height, stiffness, cut, prior, table)
     variance = height_variance(stiffness, known, prior, table) + noise.slow
-    at_jump = np.maximum(variance, (_GIVEN_NOISE_PX / base) ** 2) + _local_variance(height, known)
-    variance = np.where(beside, at_jump, variance)
+    # What the smoothness takes from a crease its variance, that of the neighbourhood, does not tell: about as much as
+    # it would take from the heights found once more.
+    again = most_probable(height, DataTerm(stiffness, np.zeros_like(height)), cut, prior)
+    taken = gaussian_window(((height - again) ** 2).astype(np.float32), _CREASE_PX)
+    at_jump = np.maximum(variance, (_GIVEN_NOISE_PX / base) ** 2) + _wanted_shift(pull, sharpness) ** 2
+    variance = np.where(beside, at_jump, variance + taken)
     agreeing = compare_views(height, known, views.samplers, views.parallax, _AGREEMENT_PX).weights > _ALL_AGREE
     n_views = agreeing.sum(axis=0)
     found = np.isfinite(without_islands(np.where(known & (n_views >= 2), height, np.nan), base))
@@ -182,13 +189,19 @@ def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray) -> _Nois
     freedom = count - 2
     # The median of a mean of squares lies below the mean.
     median = chi2.ppf(0.5, freedom) / freedom
+    # Neighbours say nearly the same: a part of the pixels is enough.
+    sample = np.ix_(*(np.arange(1, size, _SAMPLED_PX) for size in known.shape))
+    used = good[sample]
+    power = np.asarray(seen.slope**2, np.float32)
+    shifts = [np.asarray(seen.slope * view, np.float32) for view in residual]
+    alone = np.asarray(alone * power, np.float32)
     inflation = []
     for width in _WIDTHS_PX:
-        shifts = np.stack([gaussian_window(seen.slope * view, width)[good] for view in residual])
-        scatter = ((unexplained @ shifts) ** 2).sum(axis=0) / freedom
-        independent = gaussian_window(alone * seen.slope**2, width / np.sqrt(2.0))[good] / (4 * np.pi * width**2)
+        scattered = np.stack([gaussian_window(shift, width)[sample][used] for shift in shifts])
+        scatter = ((unexplained @ scattered) ** 2).sum(axis=0) / freedom
+        independent = gaussian_window(alone, width / np.sqrt(2.0))[sample][used] / (4 * np.pi * width**2)
         inflation.append(max(float(np.median(scatter / np.maximum(independent, 1e-12)) / median), 1.0))
-    texture = np.maximum(gaussian_window(seen.slope**2, _WIDTHS_PX[-1])[good], 1e-9)
+    texture = np.maximum(gaussian_window(power, _WIDTHS_PX[-1])[sample][used], 1e-9)
     leverage = float(((parallax - parallax.mean()) ** 2).sum())
     slow = float(np.median(scatter / texture**2) / median) / leverage
     # A shift that all pixels of a window share grows with the window's area beside independent noise. No smoothing
@@ -199,12 +212,11 @@ def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray) -> _Nois
     return _Noise(variance.astype(np.float64), own, slow * shared * wide / inflation[-1])
 
 
-def _local_variance(height: FloatArray, known: BoolArray) -> FloatArray:
-    """Return how far heights (H, W) differ where the place of a jump may lie."""
-    share = np.maximum(gaussian_window(known.astype(np.float32), _PLACE_PX), 1e-3)
-    mean = gaussian_window((height * known).astype(np.float32), _PLACE_PX) / share
-    square = gaussian_window(((height - mean) ** 2 * known).astype(np.float32), _PLACE_PX)
-    return np.asarray(square / share, np.float64)
+def _wanted_shift(pull: FloatArray, sharpness: NDArray[np.floating]) -> FloatArray:
+    """Return how far the views around would move heights (H, W) that are held."""
+    force = gaussian_window(pull.astype(np.float32), _PLACE_PX)
+    sharp = np.maximum(gaussian_window(sharpness.astype(np.float32), _PLACE_PX), np.float32(1e-9))
+    return np.asarray(force / sharp, np.float64)
 
 
 def _without_spikes(height: FloatArray, limit: float) -> FloatArray:

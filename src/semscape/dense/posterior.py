@@ -17,9 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from semscape.dense.sampling import gaussian_window
 from semscape.types import BoolArray, FloatArray
+
+Plane = NDArray[np.float32]
 
 _LOCAL_PX = 8.0
 _STIFFNESS_PX = 4.0
@@ -161,27 +164,26 @@ def averaging_width(stiffness: FloatArray, known: BoolArray, prior: Smoothness, 
 def most_probable(
     height: FloatArray, data: DataTerm, cut: tuple[FloatArray, FloatArray, FloatArray], prior: Smoothness
 ) -> FloatArray:
-    """Solve (k + D' W D / tau^2) h = k height + pull by conjugate gradients from `height` on."""
-    wxx, wyy, wxy = (w * prior.weight / prior.variance for w in cut)
-    diagonal = np.maximum(data.stiffness + _prior_diagonal(wxx, wyy, wxy), 1e-9)
-    solution = height.copy()
-    product = np.empty_like(height)
-    _apply(solution, data.stiffness, wxx, wyy, wxy, product)
-    residual = data.stiffness * height + data.pull - product
-    scaled = residual / diagonal
-    direction = scaled.copy()
-    power = start = float(np.sum(residual * scaled))
+    """Solve (k + D' W D / tau^2) h = k height + pull by conjugate gradients from `height` on.
+
+    The change is solved for, so single precision is enough; sums are in double precision and in one order.
+    """
+    wxx, wyy, wxy = ((w * prior.weight / prior.variance).astype(np.float32) for w in cut)
+    stiffness = data.stiffness.astype(np.float32)
+    offset = float(height.mean())
+    pulled = np.empty(height.shape, np.float32)
+    _apply((height - offset).astype(np.float32), np.zeros_like(stiffness), wxx, wyy, wxy, pulled)
+    residual = data.pull.astype(np.float32) - pulled
+    inverse = np.float32(1) / np.maximum(stiffness + _prior_diagonal(wxx, wyy, wxy), np.float32(1e-9))
+    change, direction, product = np.zeros_like(residual), residual * inverse, np.empty_like(residual)
+    power = start = float(np.sum(residual * direction, dtype=np.float64))
     for _ in range(_MOST_STEPS):
         if power <= _TOLERANCE**2 * start or power == 0:
             break
-        _apply(direction, data.stiffness, wxx, wyy, wxy, product)
-        step = power / float(np.sum(direction * product))
-        solution += step * direction
-        residual -= step * product
-        scaled = residual / diagonal
-        power, last = float(np.sum(residual * scaled)), power
-        direction = scaled + (power / last) * direction
-    return solution
+        step = power / _apply(direction, stiffness, wxx, wyy, wxy, product)
+        power, last = _descend(np.float32(step), direction, product, inverse, change, residual), power
+        _turn(np.float32(power / last), inverse, residual, direction)
+    return height + change
 
 
 def _local(values: FloatArray, weight: FloatArray | None, sigma_px: float) -> FloatArray:
@@ -191,7 +193,7 @@ def _local(values: FloatArray, weight: FloatArray | None, sigma_px: float) -> Fl
     return np.asarray(total / np.maximum(gaussian_window(share.astype(np.float32), sigma_px), 1e-6), np.float64)
 
 
-def _prior_diagonal(wxx: FloatArray, wyy: FloatArray, wxy: FloatArray) -> FloatArray:
+def _prior_diagonal(wxx: Plane, wyy: Plane, wxy: Plane) -> Plane:
     diagonal = 4 * (wxx + wyy)
     diagonal[:, :-1] += wxx[:, 1:]
     diagonal[:, 1:] += wxx[:, :-1]
@@ -204,29 +206,64 @@ def _prior_diagonal(wxx: FloatArray, wyy: FloatArray, wxy: FloatArray) -> FloatA
     return diagonal
 
 
-@njit(cache=True, nogil=True)
-def _apply(h: FloatArray, k: FloatArray, wxx: FloatArray, wyy: FloatArray, wxy: FloatArray, out: FloatArray) -> None:
-    """Compute out = (k + D' W D) h; the weights of differences that would leave the grid are 0."""
+@njit(cache=True, nogil=True, fastmath=True)
+def _apply(h: Plane, k: Plane, wxx: Plane, wyy: Plane, wxy: Plane, out: Plane) -> float:  # pragma: no cover - compiled
+    """Compute out = (k + D' W D) h and return h . out; the weights of differences that would leave the grid are 0."""
     rows, cols = h.shape
+    zero, two = np.float32(0), np.float32(2)
+    # Weighted differences of a row; those of the next and the last two rows, with a zero before and after.
+    along = np.zeros(cols + 2, np.float32)
+    above, middle, below = np.zeros(cols, np.float32), np.zeros(cols, np.float32), np.zeros(cols, np.float32)
+    corner_above, corner = np.zeros(cols + 1, np.float32), np.zeros(cols + 1, np.float32)
+    total = 0.0
     for r in range(rows):
-        for c in range(cols):
-            out[r, c] = k[r, c] * h[r, c]
-    for r in range(rows):
+        own, result = h[r], out[r]
         for c in range(1, cols - 1):
-            f = wxx[r, c] * (h[r, c - 1] - 2 * h[r, c] + h[r, c + 1])
-            out[r, c - 1] += f
-            out[r, c] -= 2 * f
-            out[r, c + 1] += f
-    for r in range(1, rows - 1):
+            along[c + 1] = wxx[r, c] * (own[c - 1] - two * own[c] + own[c + 1])
+        above, middle, below = middle, below, above
+        corner_above, corner = corner, corner_above
+        if r + 2 < rows:
+            next_row, next_but_one = h[r + 1], h[r + 2]
+            for c in range(cols):
+                below[c] = wyy[r + 1, c] * (own[c] - two * next_row[c] + next_but_one[c])
+        else:
+            below[:] = zero
+        if r + 1 < rows:
+            next_row = h[r + 1]
+            for c in range(cols - 1):
+                corner[c + 1] = two * wxy[r, c] * (own[c] - own[c + 1] - next_row[c] + next_row[c + 1])
+        else:
+            corner[:] = zero
+        row_total = 0.0
         for c in range(cols):
-            f = wyy[r, c] * (h[r - 1, c] - 2 * h[r, c] + h[r + 1, c])
-            out[r - 1, c] += f
-            out[r, c] -= 2 * f
-            out[r + 1, c] += f
-    for r in range(rows - 1):
-        for c in range(cols - 1):
-            f = 2 * wxy[r, c] * (h[r, c] - h[r, c + 1] - h[r + 1, c] + h[r + 1, c + 1])
-            out[r, c] += f
-            out[r, c + 1] -= f
-            out[r + 1, c] -= f
-            out[r + 1, c + 1] += f
+            value = k[r, c] * own[c] + along[c] - two * along[c + 1] + along[c + 2]
+            value += above[c] - two * middle[c] + below[c]
+            value += corner[c + 1] - corner[c] - corner_above[c + 1] + corner_above[c]
+            result[c] = value
+            row_total += own[c] * value
+        total += row_total
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _descend(
+    step: np.float32, direction: Plane, product: Plane, inverse: Plane, change: Plane, residual: Plane
+) -> float:  # pragma: no cover - compiled
+    """Go along the direction, in place, and return the residual's power."""
+    total = 0.0
+    for r in range(len(change)):
+        row_total = 0.0
+        for c in range(change.shape[1]):
+            change[r, c] += step * direction[r, c]
+            left = residual[r, c] - step * product[r, c]
+            residual[r, c] = left
+            row_total += left * left * inverse[r, c]
+        total += row_total
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _turn(ratio: np.float32, inverse: Plane, residual: Plane, direction: Plane) -> None:  # pragma: no cover - compiled
+    for r in range(len(direction)):
+        for c in range(direction.shape[1]):
+            direction[r, c] = inverse[r, c] * residual[r, c] + ratio * direction[r, c]

@@ -18,6 +18,8 @@ from semscape.types import BoolArray, FloatArray, ImageArray, Micrograph, Motion
 
 _MARGIN_PX = 8
 _FRAME_MULTIPLE = 64
+# Frames begin at multiples of this from the world's origin, so that those of tiles share their pixels, halved ones too.
+PHASE_PX = 16
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def rectified_frame(series: TiltSeries, reconstruction: Reconstruction) -> Frame
     low, high = corners_uv.min(axis=0) - _MARGIN_PX, corners_uv.max(axis=0) + _MARGIN_PX
     reach = min(float(height_px * np.abs(parallax).max()), 0.25 * float(high[0] - low[0]))
     low[0], high[0] = low[0] - reach, high[0] + reach
-    low = np.floor(low)
+    low = PHASE_PX * np.floor(low / PHASE_PX)
     columns, rows = (int(np.ceil(size / _FRAME_MULTIPLE)) * _FRAME_MULTIPLE for size in high - low)
     world_from_frame = np.column_stack([directions, directions @ low])
     return Frame(world_from_frame, (rows, columns), pixel_size, parallax)

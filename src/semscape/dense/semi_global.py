@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from semscape.types import BoolArray, FloatArray, ImageArray
 
 CensusArray = NDArray[np.uint64]
+Costs = NDArray[np.int32]
 
 _UNKNOWN_COST = 24
-_FAR = np.float32(1e6)
+_FAR = np.int32(1_000_000)
 _STEEPEST_PRIOR = 2
 _EDGE_WEIGHT = np.float32(0.5)
 
@@ -129,7 +130,7 @@ def _total_cost(
     penalty_large: float,
 ) -> NDArray[np.uint16]:
     total = np.zeros(cost.shape, np.uint16)
-    small, large = np.float32(np.rint(penalty_small)), np.float32(np.rint(penalty_large))
+    small, large = np.int32(np.rint(penalty_small)), np.float32(np.rint(penalty_large))
     _aggregate(cost, start, valid, prior, guide, small, large, total, False)
     _aggregate(cost, start, valid, prior, guide, small, large, total, True)
     return total
@@ -169,30 +170,29 @@ def _aggregate(
     valid: BoolArray,
     prior: NDArray[np.int32],
     guide: ImageArray,
-    penalty_small: np.float32,
+    penalty_small: np.int32,
     penalty_large: np.float32,
     total: NDArray[np.uint16],
     backward: bool,
 ) -> None:
     """Add the costs along four directions: from the left and the three above, or their opposites.
 
-    Paths begin and end where pixels are not valid. All costs are whole numbers: sums of them are exact in any order, so
-    the compiler may use vectors.
+    Paths begin and end where pixels are not valid. All costs are whole numbers, for which the compiler uses vectors.
     """
     height, width, n = cost.shape
     # Path costs of the previous and the current row, [path, column, label], between unreachable labels as wide as the
     # range itself: to a range that starts elsewhere leads another offset, and no branch.
     stride = 3 * n + 2
     middle = n + 1
-    above = np.full(3 * width * stride, _FAR, np.float32)
-    here = np.full(3 * width * stride, _FAR, np.float32)
-    above_least = np.zeros((3, width), np.float32)
-    here_least = np.zeros((3, width), np.float32)
-    left = np.full(stride, _FAR, np.float32)
-    side = np.full(stride, _FAR, np.float32)
-    left_least = np.float32(0)
-    own = np.empty(n, np.float32)
-    summed = np.empty(n, np.float32)
+    above = np.full(3 * width * stride, _FAR, np.int32)
+    here = np.full(3 * width * stride, _FAR, np.int32)
+    above_least = np.zeros((3, width), np.int32)
+    here_least = np.zeros((3, width), np.int32)
+    left = np.full(stride, _FAR, np.int32)
+    side = np.full(stride, _FAR, np.int32)
+    left_least = np.int32(0)
+    own = np.empty(n, np.int32)
+    summed = np.empty(n, np.int32)
     step = -1 if backward else 1
     for r in range(height):
         row = height - 1 - r if backward else r
@@ -236,47 +236,50 @@ def _slope(change: int) -> int:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _jump(penalty_small: np.float32, penalty_large: np.float32, value1: np.float32, value2: np.float32) -> np.float32:
+def _jump(penalty_small: np.int32, penalty_large: np.float32, value1: np.float32, value2: np.float32) -> np.int32:
     """Return what a jump costs between two grey values, a whole number."""
     contrast = np.float32(1) + _EDGE_WEIGHT * abs(value1 - value2)
-    return max(penalty_small, np.float32(np.rint(penalty_large / contrast)))
+    return np.int32(max(penalty_small, np.rint(penalty_large / contrast)))
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _begin(own: NDArray[np.float32], path: NDArray[np.float32], to: int, summed: NDArray[np.float32]) -> np.float32:
+# Neither function is inlined: as functions of their own the compiler turns their loops into vectors.
+@njit(cache=True, nogil=True)
+def _begin(own: Costs, path: Costs, to: int, summed: Costs) -> np.int32:
     least = _FAR
-    for k in range(len(own)):
-        path[to + k] = own[k]
+    n = len(own)
+    new = path[to : to + n]
+    for k in range(n):
+        new[k] = own[k]
         summed[k] += own[k]
         least = min(least, own[k])
-    return least
+    return np.int32(least)
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@njit(cache=True, nogil=True)
 def _extend(
-    own: NDArray[np.float32],
-    before: NDArray[np.float32],
+    own: Costs,
+    before: Costs,
     at: int,
-    before_least: np.float32,
-    penalty_small: np.float32,
-    penalty_large: np.float32,
-    path: NDArray[np.float32],
+    before_least: np.int32,
+    penalty_small: np.int32,
+    penalty_large: np.int32,
+    path: Costs,
     to: int,
-    summed: NDArray[np.float32],
-) -> np.float32:
+    summed: Costs,
+) -> np.int32:
     """Extend the path at `before[at :]` by one pixel into `path[to :]`; return the least of its new costs."""
-    jump = before_least + penalty_large
+    n = len(own)
+    jump = np.int32(before_least + penalty_large)
     least = _FAR
-    for k in range(len(own)):
-        lower, same, upper = before[at + k - 1], before[at + k], before[at + k + 1]
-        best = (lower if lower < upper else upper) + penalty_small
-        best = best if best < same else same
-        best = best if best < jump else jump
-        value = own[k] + (best - before_least)
-        path[to + k] = value
+    lower, same, upper = before[at - 1 : at - 1 + n], before[at : at + n], before[at + 1 : at + 1 + n]
+    new = path[to : to + n]
+    for k in range(n):
+        best = np.int32(min(lower[k], upper[k]) + penalty_small)
+        value = np.int32(own[k] + min(best, same[k], jump) - before_least)
+        new[k] = value
         summed[k] += value
-        least = least if least < value else value
-    return least
+        least = min(least, value)
+    return np.int32(least)
 
 
 @njit(cache=True, nogil=True)

@@ -23,9 +23,10 @@ from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.dense.sweep_cost import LARGEST_DIFFERENCE, fill_costs, window_taps
 from semscape.types import BoolArray, FloatArray, ImageArray
 
-_STEP_PX = 0.5
-_LABELS = 40
+_REACHES_PX = 20.0
+_COARSE_STEP_PX, _FINE_STEP_PX = 1.0, 0.5
 _REACH_PX = 9
+_SPARE_PX = 3.0
 _WINDOW_PX = 0.8
 _SELECTION_WINDOW_PX = 1.5
 _GAIN_WINDOW_PX = 12.0
@@ -65,6 +66,16 @@ class Views:
 
 
 @dataclass(frozen=True)
+class _Labels:
+    """Heights tried at every pixel: (first + k) step, k < count, `step_px` of disparity apart; `first` is (H, W)."""
+
+    first: NDArray[np.int32]
+    step: float
+    step_px: float
+    count: int
+
+
+@dataclass(frozen=True)
 class _Brightness:
     """Gain (V,) and offset image (V, H, W) that bring each view to the reference's brightness; `noise` is left."""
 
@@ -87,17 +98,17 @@ def sharpen_jumps(start: FloatArray, views: Views) -> FloatArray:
     wanted = _near_jumps(start, views.baseline)
     if not np.isfinite(start).any() or not wanted.any():
         return start
-    step = _STEP_PX / views.baseline
     filled = _median(filled_from_nearest(start))
-    first = _first_label(filled, step)
-    level = np.zeros(first.shape, np.int32)
+    coarse = _labels(filled, _COARSE_STEP_PX, views.baseline)
+    level = np.zeros(start.shape, np.int32)
     # At first brightness is compared over the whole field: beside a smeared jump the wrong places lie in any window.
-    found = _sweep(first, step, wanted, level, views, _brightness(filled, views, None))
+    found = _sweep(coarse, wanted, level, views, _brightness(filled, views, None))
     surface = _median(filled_from_nearest(np.where(wanted, found, start)))
-    found = _sweep(first, step, wanted, level, views, _brightness(surface, views, _GAIN_WINDOW_PX))
+    found = _sweep(coarse, wanted, level, views, _brightness(surface, views, _GAIN_WINDOW_PX))
     prior = filled_from_nearest(_better(start, found, views))
-    slopes = np.rint(prior / step).astype(np.int32)
-    found = _sweep(first, step, wanted, slopes, views, _brightness(prior, views, _GAIN_WINDOW_PX))
+    fine = _labels(filled, _FINE_STEP_PX, views.baseline)
+    slopes = np.rint(prior / fine.step).astype(np.int32)
+    found = _sweep(fine, wanted, slopes, views, _brightness(prior, views, _GAIN_WINDOW_PX))
     return _better(start, found, views)
 
 
@@ -116,25 +127,21 @@ def _near_jumps(start: FloatArray, baseline: float) -> BoolArray:
     return near
 
 
-def _first_label(height: FloatArray, step: float) -> NDArray[np.int32]:
-    """Return the lowest label of every pixel's range, laid across what its neighbourhood spans where that fits."""
+def _labels(height: FloatArray, step_px: float, baseline: float) -> _Labels:
+    """Return labels `step_px` of disparity apart, laid across what each neighbourhood spans if that fits."""
+    count, step = int(_REACHES_PX / step_px), step_px / baseline
     square = np.ones((2 * _REACH_PX + 1, 2 * _REACH_PX + 1), np.uint8)
     labels = (height / step).astype(np.float32)
     low, high = cv2.erode(labels, square), cv2.dilate(labels, square)
-    middle = np.where(high - low < _LABELS - 6, (low + high) / 2, labels)
-    first: NDArray[np.int32] = (np.rint(middle) - _LABELS // 2).astype(np.int32)
-    return first
+    middle = np.where(high - low < count - _SPARE_PX / step_px, (low + high) / 2, labels)
+    return _Labels((np.rint(middle) - count // 2).astype(np.int32), step, step_px, count)
 
 
 def _sweep(
-    first: NDArray[np.int32],
-    step: float,
-    wanted: BoolArray,
-    slopes: NDArray[np.int32],
-    views: Views,
-    brightness: _Brightness,
+    labels: _Labels, wanted: BoolArray, slopes: NDArray[np.int32], views: Views, brightness: _Brightness
 ) -> FloatArray:
     """Return the heights (H, W) of least cost, NaN where none is wanted or the least lies at the end of the range."""
+    first, step = labels.first, labels.step
     unit = np.float32(1 / brightness.noise)
     order = [*views.others, views.reference]
     looks = [views.samplers[i] for i in order]
@@ -146,7 +153,7 @@ def _sweep(
     )
     side = np.where(views.parallax[views.others] < views.parallax[views.reference], -1, 1)
     around = cv2.dilate(wanted.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    cost = np.zeros((*first.shape, _LABELS), np.uint8)
+    cost = np.zeros((*first.shape, labels.count), np.uint8)
     fill_costs(
         cost,
         first,
@@ -160,10 +167,10 @@ def _sweep(
         side,
         window_taps(_WINDOW_PX),
     )
-    here = np.asarray((first + _LABELS // 2) * step, np.float64)
+    here = np.asarray((first + labels.count // 2) * step, np.float64)
     guide = views.samplers[views.reference].look(here)[0] * unit
     label = least_cost(cost, first, wanted, slopes, guide, _PENALTY_SMALL, _PENALTY_LARGE)
-    return without_speckles(label * _STEP_PX, _SPECKLE_AREA_PX) / _STEP_PX * step
+    return without_speckles(label * labels.step_px, _SPECKLE_AREA_PX) / labels.step_px * step
 
 
 def _brightness(height: FloatArray, views: Views, window_px: float | None) -> _Brightness:

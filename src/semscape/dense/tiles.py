@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from semscape.dense.evidence import without_islands
 from semscape.dense.parallel import as_parallel
 from semscape.dense.reasons import unknown_reasons
-from semscape.dense.rectify import grid_pixel_size_um
+from semscape.dense.rectify import PHASE_PX, grid_pixel_size_um
 from semscape.dense.sampling import common_parallax
 from semscape.dense.specimen import with_specimen
 from semscape.dense.surface import DenseSurface, choose_pairs, dense_surface
@@ -26,8 +26,9 @@ from semscape.geometry.cameras import camera_matrices
 from semscape.options import DenseOptions
 from semscape.types import FloatArray, HeightMap, ImageArray, Reason, Reconstruction, TiltSeries
 
-# Beyond a tile's core: the widest window of the refinement reaches 40 px, the paths of matching about as far again.
-_OVERLAP_PX = 80
+# Beyond a tile's core: the widest window of the refinement reaches 40 px, the paths of matching about as far again; and
+# half of the step between the places where tiles may begin.
+_OVERLAP_PX = 88
 
 Mapper = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
 # Height, uncertainty, number of views, texture, reason and lateral period.
@@ -125,11 +126,17 @@ def _cut(series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[
         return np.floor(xy.min(axis=1)), np.ceil(xy.max(axis=1))
 
     boxes = [seen(place) for place in places]
-    width, height = (int(size) + 1 for size in np.max([last - first for first, last in boxes], axis=(0, 1)))
+    # As even or odd as the whole: so the tiles' middles lie whole pixels from that of the whole.
+    largest = np.max([last - first for first, last in boxes], axis=(0, 1))
+    width, height = (
+        int(size) + 1 + (int(size) + 1 - whole) % 2 for size, whole in zip(largest, series.shape[::-1], strict=True)
+    )
     tiles = []
     for place, (first, last) in zip(places, boxes, strict=True):
         corner = (np.rint((first + last) / 2 - [(width - 1) / 2, (height - 1) / 2])).astype(np.int64)
-        top, left = ((part.start + part.stop - size) // 2 for part, size in zip(place, (height, width), strict=True))
+        top, left = (
+            _start(part, size, whole) for part, size, whole in zip(place, (height, width), series.shape, strict=True)
+        )
         centre = world_from_grid @ [left + (width - 1) / 2, top + (height - 1) / 2, 0.0, 1.0]
         views = tuple(
             replace(
@@ -144,6 +151,20 @@ def _cut(series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[
         core = slice(place[0].start - top, place[0].stop - top), slice(place[1].start - left, place[1].stop - left)
         tiles.append(_Tile(replace(series, views=views), replace(reconstruction, motion=moved, points_um=points), core))
     return tiles
+
+
+def _start(core: slice, size: int, whole: int) -> int:
+    """Return where a tile begins around its core, its middle a multiple of `PHASE_PX` from that of the whole.
+
+    Examples
+    --------
+    >>> _start(slice(0, 500), 660, 1000)
+    -86
+    >>> (-86 + 660 / 2 - 1000 / 2) / 16
+    -16.0
+    """
+    ideal, middle = (core.start + core.stop - size) / 2, (whole - size) // 2
+    return int(middle + PHASE_PX * round((ideal - middle) / PHASE_PX))
 
 
 def _crop(values: NDArray[Any], corner: NDArray[np.int64], shape: tuple[int, int], beyond: Any) -> NDArray[Any]:
