@@ -41,9 +41,9 @@ def measure_surface(specimen: str, seed: int) -> dict[str, Any]:
         sgbm, sgbm_seconds = timed(sgbm_height_map, given)
         flow, flow_seconds = timed(dis_height_map, given)
         row[name] = {
-            "semscape": _errors(specimen, ours, cameras, truth),
-            "opencv_sgbm": _errors(specimen, sgbm, cameras, truth),
-            "opencv_dis": _errors(specimen, flow, cameras, truth),
+            "semscape": surface_errors(specimen, ours, cameras, truth),
+            "opencv_sgbm": surface_errors(specimen, sgbm, cameras, truth),
+            "opencv_dis": surface_errors(specimen, flow, cameras, truth),
             "seconds": round(seconds, 2),
             "opencv_sgbm_seconds": round(sgbm_seconds, 2),
             "opencv_dis_seconds": round(flow_seconds, 2),
@@ -237,7 +237,9 @@ def _only(cameras: Reconstruction, pair: tuple[int, int]) -> Reconstruction:
     return replace(cameras, motion=chosen, reference=int(np.argmin(np.abs(chosen.tilt_rad))))
 
 
-def _errors(specimen: str, height_map: HeightMap, cameras: Reconstruction, truth: SimulationTruth) -> dict[str, Any]:
+def surface_errors(
+    specimen: str, height_map: HeightMap, cameras: Reconstruction, truth: SimulationTruth
+) -> dict[str, Any]:
     import numpy as np
 
     from semscape.evaluate.height_errors import height_error

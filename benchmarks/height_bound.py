@@ -107,6 +107,27 @@ def measure_bound(specimen: str) -> dict[str, Any]:
     return row | {"oracle": {name: _figures(each, told) for name, each in errors.items()}}
 
 
+def measure_noise(specimen: str) -> dict[str, Any]:
+    """Return the errors of the dense stage with true cameras, of images with no fault but blur and so much noise."""
+    from accuracy_dense import calibrated, surface_errors
+    from semscape.dense.surface import dense_surface
+    from semscape.options import DenseOptions
+    from semscape.simulate import PRESETS, simulate
+
+    nominal = PRESETS["nominal"]
+    quiet = replace(nominal, drift_px=0.0, jitter_px=0.0, line_noise=0.0, charging=0.0, brightness=0.0, contrast=0.0)
+    cameras = None
+    levels = {}
+    for level in sorted(_NOISE, reverse=True):
+        dose = nominal.dose / level**2 if level else 0.0
+        series, truth = simulate(specimen, replace(quiet, dose=dose), rng=_SEED)
+        if cameras is None:
+            cameras = replace(calibrated(series), motion=truth.motion)
+        found = dense_surface(series, cameras, DenseOptions()).height_map
+        levels[f"{level:g}"] = surface_errors(specimen, found, cameras, truth)
+    return {"levels": dict(sorted(levels.items()))}
+
+
 def told_by(specimen: str) -> Told:
     """Render the nominal series of a specimen without faults but blur, and say what its pixels tell."""
     import numpy as np
@@ -288,6 +309,7 @@ def _figures(error: FloatArray, told: Told) -> dict[str, float]:
 
 
 CASES: dict[str, Case] = {specimen: (measure_bound, (specimen,)) for specimen in _SPECIMENS}
+CASES |= {f"noise-{specimen}": (measure_noise, (specimen,)) for specimen in ("fracture", "vickers")}
 
 if __name__ == "__main__":
     run_cases(CASES, "The least errors of heights that the nominal images allow, as JSON.")
