@@ -162,7 +162,8 @@ _SHAPE_VALUE = {
 def _surfaces(rows: dict[str, Any], specimens: Iterable[str]) -> Iterable[tuple[str, str, dict[str, Any]]]:
     for specimen in specimens:
         for key, cameras in _CAMERAS.items():
-            yield specimen, cameras, rows[f"surface-{specimen}"][key]
+            if key in (row := rows[f"surface-{specimen}"]):
+                yield specimen, cameras, row[key]
 
 
 def _table(head: list[str], body: list[list[str]]) -> str:

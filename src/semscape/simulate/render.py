@@ -126,7 +126,7 @@ def render_signal(
 def shade(
     scene: Scene, position: FloatArray, place: FloatArray, beam: FloatArray, world_from_lab: FloatArray
 ) -> FloatArray:
-    """Return the signal (K, N) of every channel at points (N, 3) of the surface and their places, see `Surface.cast`."""
+    """Return the signal (K, N) of every channel at points (N, 3) of the surface and their places of `Surface.cast`."""
     options = scene.options
     attributes = scene.surface.attributes(place)
     facing = attributes[:, NORMAL].copy()
