@@ -27,7 +27,7 @@ def heights(rows: dict[str, Any]) -> str:
     """Return the table of errors of heights and normals, and of completeness."""
     head = ["", "cameras"]
     head += [f"{name}: median, rmse (px)" for name in _METHODS.values()]
-    head += ["normals (deg)", "completeness (%)", "times SGBM"]
+    head += ["normals (deg)", "completeness (%)"]
     body = []
     for specimen, cameras, row in _surfaces(rows, _SPECIMENS):
         found = [row[method] for method in _METHODS]
@@ -38,7 +38,6 @@ def heights(rows: dict[str, Any]) -> str:
                 *(f"{each['median_px']:.2f}, {each['trimmed_rmse_px']:.2f}" for each in found),
                 " / ".join(f"{each['normal_median_deg']:.0f}" for each in found),
                 " / ".join(f"{100 * each['completeness']:.0f}" for each in found),
-                f"{row['times_opencv_sgbm']:.0f}",
             ]
         )
     return _table(head, body)
@@ -67,7 +66,7 @@ def shapes(rows: dict[str, Any]) -> str:
 def pairs(rows: dict[str, Any]) -> str:
     """Return the table of the heights from two pairs of views that share none, or one of three views."""
     body = []
-    for name in _REAL:
+    for name in (each for each in _REAL if "disjoint" in rows.get(f"disjoint-{each}", {})):
         for split in rows[f"disjoint-{name}"]["disjoint"]:
             views = " against ".join(f"{first + 1}, {second + 1}" for first, second in split["pairs"])
             found = [
@@ -103,7 +102,7 @@ def bound(rows: dict[str, Any]) -> str:
         "reached",
     ]
     body = []
-    for specimen in _SPECIMENS:
+    for specimen in (each for each in _SPECIMENS if each in rows):
         told = rows[specimen]
         oracle, reached = told["oracle"], rows[f"surface-{specimen}"]["true_cameras"]["semscape"]
         window = min(told["windows"], key=lambda each: each["median_px"])
@@ -121,14 +120,6 @@ def bound(rows: dict[str, Any]) -> str:
     return _table(head, body)
 
 
-def noise(rows: dict[str, Any]) -> str:
-    """Return the table of the dense stage's errors against the noise of its images."""
-    cases = {name: row["levels"] for name, row in rows.items() if name.startswith("noise-")}
-    levels = cases["noise-fracture"]
-    body = [[name.removeprefix("noise-"), *(_two(row[level]) for level in levels)] for name, row in cases.items()]
-    return _table(["noise, times the nominal one", *levels], body)
-
-
 def _two(figures: dict[str, Any]) -> str:
     return f"{figures['median_px']:.2f}, {figures['trimmed_rmse_px']:.2f}"
 
@@ -142,13 +133,13 @@ def _face_angles(row: dict[str, Any]) -> tuple[str, str]:
 
 
 def _wall_widths(_: dict[str, Any]) -> tuple[str, str]:
-    return "walls, 10 to 90 %: median, 90th percentile (px); known (%)", "0"
+    return "walls, 10 to 90 %: quartiles (px); known (%)", "0"
 
 
 def _wall_value(row: dict[str, Any]) -> str:
     widths = row.get("wall_px_25_50_75_90_percent")
     known = f"{100 * row['walls_known']:.0f}"
-    return f"{widths[1]:.1f}, {widths[3]:.1f}; {known}" if widths else f"-; {known}"
+    return f"{', '.join(f'{width:.1f}' for width in widths[:3])}; {known}" if widths else f"-; {known}"
 
 
 _SHAPE_OF = {"step": _step_height, "vickers": _face_angles, "grating": _wall_widths}
@@ -172,7 +163,7 @@ def _table(head: list[str], body: list[list[str]]) -> str:
 
 _TABLES = {
     "surface.md": {"heights": heights, "sigmas": sigmas, "shapes": shapes, "pairs": pairs, "stereo": stereo},
-    "method.md": {"bound": bound, "noise": noise},
+    "method.md": {"bound": bound},
 }
 
 
