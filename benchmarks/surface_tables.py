@@ -112,8 +112,8 @@ def bound(rows: dict[str, Any]) -> str:
                 f"{window['median_px']:.2f} ({window['side_px']} px)",
                 *(_two(oracle[name]) for name in ("noise", "noise_drift_jitter", "all")),
                 _two(reached),
-                f"{reached['median_px'] / oracle['all']['median_px']:.2f}",
-                f"{oracle['all']['normal_median_deg']:.1f}",
+                f"{reached['median_px'] / oracle['noise_drift_jitter']['median_px']:.2f}",
+                f"{oracle['noise_drift_jitter']['normal_median_deg']:.1f}",
                 f"{reached['normal_median_deg']:.1f}",
             ]
         )
