@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from accuracy_dense import measure_disjoint, measure_stereo, measure_surface, measure_walls
+from accuracy_dense import measure_disjoint, measure_stereo, measure_surface
 from isolated import REAL_SETS, Case, peak_memory_mb, real_set_folder, run_cases, timed
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _BLUR_PX = 8.0
 _DISCS = {"potamogeton1": ((412.0, 357.0), 300.0)}
-_SURFACES = ("fracture", "spheres", "vickers", "grating", "pollen")
+_SURFACES = ("fracture", "spheres", "vickers", "grating", "pollen", "step")
 _SIMULATED = (("fracture", 0), ("fracture", 1), ("fracture", 2), ("spheres", 0), ("pollen", 0))
 
 
@@ -143,7 +143,7 @@ CASES: dict[str, Case] = {name: (measure_real, (name,)) for name in REAL_SETS} |
     f"{specimen}-{seed}": (measure_simulated, (specimen, seed)) for specimen, seed in _SIMULATED
 }
 CASES |= {f"surface-{specimen}": (measure_surface, (specimen, 0)) for specimen in _SURFACES}
-CASES |= {"walls": (measure_walls, (0,)), "stereo": (measure_stereo, ())}
+CASES |= {"stereo": (measure_stereo, ())}
 CASES |= {f"disjoint-{name}": (measure_disjoint, (name,)) for name in REAL_SETS}
 
 if __name__ == "__main__":

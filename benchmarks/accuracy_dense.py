@@ -1,17 +1,22 @@
-"""Accuracy of the dense surface alone: simulated truths, jumps, disjoint pairs, and the matcher on a perspective pair.
+"""Accuracy of the dense surface alone: simulated truths, disjoint pairs, and the matcher on a perspective pair.
 
 Each function is a row of `make accuracy`; rivals run on the same cameras in the same run.
 """
 
 from __future__ import annotations
 
+import contextlib
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+from accuracy_shapes import shape_figures, step_specimen
 from isolated import SHARED_DATA_VARIABLE, real_set_folder, timed
 
 if TYPE_CHECKING:
-    from semscape.types import FloatArray, HeightMap, Reconstruction, SimulationTruth
+    from collections.abc import Callable
+
+    from semscape.evaluate.height_errors import HeightError
+    from semscape.types import BoolArray, FloatArray, HeightMap, Reconstruction, SimulationTruth, TiltSeries
 
 _BINS = 5
 _TRIM = 0.95
@@ -19,17 +24,15 @@ _WRONG_PX = 1.0
 
 
 def measure_surface(specimen: str, seed: int) -> dict[str, Any]:
-    """Heights, normals, sigmas and time of a nominal series, with the true and with the estimated cameras."""
+    """Heights, normals, sigmas, shapes and time of a nominal series, with the true and with the estimated cameras."""
     from dataclasses import replace
 
-    import semscape
     from semscape.dense.rival import dis_height_map, sgbm_height_map
     from semscape.dense.surface import dense_surface
     from semscape.options import DenseOptions
-    from semscape.simulate import PRESETS, simulate
 
-    series, truth = simulate(specimen, PRESETS["nominal"], rng=seed)
-    estimated = semscape.reconstruct(series, rng=0).reconstruction
+    series, truth = _nominal(specimen, seed)
+    estimated = calibrated(series)
     row: dict[str, Any] = {"specimen": specimen, "seed": seed}
     for name, cameras in (("true_cameras", replace(estimated, motion=truth.motion)), ("estimated_cameras", estimated)):
         found, seconds = timed(dense_surface, series, cameras, DenseOptions())
@@ -38,9 +41,9 @@ def measure_surface(specimen: str, seed: int) -> dict[str, Any]:
         sgbm, sgbm_seconds = timed(sgbm_height_map, given)
         flow, flow_seconds = timed(dis_height_map, given)
         row[name] = {
-            "semscape": _errors(ours, cameras, truth),
-            "opencv_sgbm": _errors(sgbm, cameras, truth),
-            "opencv_dis": _errors(flow, cameras, truth),
+            "semscape": surface_errors(specimen, ours, cameras, truth),
+            "opencv_sgbm": surface_errors(specimen, sgbm, cameras, truth),
+            "opencv_dis": surface_errors(specimen, flow, cameras, truth),
             "seconds": round(seconds, 2),
             "opencv_sgbm_seconds": round(sgbm_seconds, 2),
             "opencv_dis_seconds": round(flow_seconds, 2),
@@ -49,32 +52,42 @@ def measure_surface(specimen: str, seed: int) -> dict[str, Any]:
     return row
 
 
-def measure_walls(seed: int) -> dict[str, Any]:
-    """Rise from 10 to 90 % of the vertical walls of a nominal grating, px across the wall, with the true cameras."""
-    from dataclasses import replace
+class _CalibratedError(Exception):
+    """Raised to stop a reconstruction before its surface, which is not asked for."""
 
-    import numpy as np
 
+def calibrated(series: TiltSeries) -> Reconstruction:
+    """Return a series' cameras and sparse points, as the whole line finds them before the surface."""
     import semscape
-    from semscape.dense.surface import dense_surface
-    from semscape.evaluate.height_errors import height_error
-    from semscape.options import DenseOptions
-    from semscape.simulate import PRESETS, simulate
 
-    series, truth = simulate("grating", PRESETS["nominal"], rng=seed)
-    cameras = replace(semscape.reconstruct(series, rng=0).reconstruction, motion=truth.motion)
-    found = dense_surface(series, cameras, DenseOptions()).height_map
-    error = height_error(found, cameras.motion, cameras.reference, truth)
-    true = error.true_um[..., 2]
-    height = error.error_um + true
-    low, high = np.nanpercentile(true, [10, 90])
-    rises = [
-        rise
-        for row, profile in zip(true, height, strict=True)
-        for rise in _rises(row, profile, float(low), float(high))
-    ]
-    quartiles = np.percentile(rises, [25, 50, 75, 90])
-    return {"walls": len(rises), "rise_px_25_50_75_90_percent": quartiles.round(2).tolist()}
+    values: dict[str, Any] = {}
+
+    def keep(stage: str, make: Callable[[], Any]) -> Any:
+        values[stage] = make()
+        if stage == "calibrate":
+            raise _CalibratedError
+        return values[stage]
+
+    with contextlib.suppress(_CalibratedError):
+        semscape.reconstruct(series, rng=0, keep=keep)
+    cameras: Reconstruction = values["calibrate"][0].reconstruction
+    return cameras
+
+
+def _nominal(specimen: str, seed: int) -> tuple[TiltSeries, SimulationTruth]:
+    """Simulate a nominal series of a specimen of `SPECIMENS`, or of the step."""
+    import math
+
+    from semscape.simulate import PRESETS, faults, simulate
+    from semscape.simulate.camera import scan_cameras
+    from semscape.simulate.series import draw_motion, specimen_size
+
+    options = PRESETS["nominal"]
+    if specimen != "step":
+        return simulate(specimen, options, rng=seed)
+    motion, _, skew = draw_motion(options, seed)
+    size = specimen_size(options, scan_cameras(motion, skew, math.inf))
+    return simulate(step_specimen(size, faults.stream(seed, "specimen")), options, rng=seed)
 
 
 def measure_disjoint(name: str) -> dict[str, Any]:
@@ -84,11 +97,12 @@ def measure_disjoint(name: str) -> dict[str, Any]:
     import numpy as np
 
     import semscape
+    from semscape.dense.rival import dis_height_map, sgbm_height_map
     from semscape.dense.surface import dense_surface
     from semscape.options import DenseOptions
 
     series = semscape.load_series(real_set_folder(name))
-    cameras = semscape.reconstruct(series, rng=0).reconstruction
+    cameras = calibrated(series)
     views = range(len(series.views))
     splits = [
         (one, other)
@@ -99,23 +113,36 @@ def measure_disjoint(name: str) -> dict[str, Any]:
         order = np.argsort(cameras.motion.tilt_rad)
         splits = [((int(order[0]), int(order[1])), (int(order[1]), int(order[2])))]
     rows = []
-    for one, other in splits:
-        first, second = (
-            dense_surface(series.select(pair, "a pair"), _only(cameras, pair), DenseOptions()).height_map.height_um
-            for pair in (one, other)
-        )
-        difference = (first - second)[np.isfinite(first - second)] / series.pixel_size_um[cameras.reference]
-        difference = np.abs(difference - np.median(difference))
-        kept = np.sort(difference)[: int(_TRIM * difference.size)]
+    for pairs in splits:
+        heights: dict[str, list[FloatArray]] = {"semscape": [], "opencv_sgbm": [], "opencv_dis": []}
+        for pair in pairs:
+            part, own = series.select(pair, "a pair"), _only(cameras, pair)
+            ours = dense_surface(part, own, DenseOptions()).height_map
+            given: Any = SimpleNamespace(series=part, reconstruction=own, height_map=ours)
+            heights["semscape"].append(ours.height_um)
+            heights["opencv_sgbm"].append(sgbm_height_map(given).height_um)
+            heights["opencv_dis"].append(dis_height_map(given).height_um)
+        pixel = float(series.pixel_size_um[cameras.reference])
         rows.append(
-            {
-                "pairs": [list(one), list(other)],
-                "median_px": round(float(np.median(difference)), 3),
-                "trimmed_rms_px": round(float(np.sqrt(np.mean(kept**2))), 3),
-                "compared": round(difference.size / first.size, 3),
-            }
+            {"pairs": [list(pair) for pair in pairs]}
+            | {method: _differences((first - second) / pixel) for method, (first, second) in heights.items()}
         )
     return {"disjoint": rows}
+
+
+def _differences(difference_px: FloatArray) -> dict[str, float]:
+    """Return how much two height maps (H, W) differ, but for their common level, and where both are known."""
+    import numpy as np
+
+    known = difference_px[np.isfinite(difference_px)]
+    ranked = np.sort(np.abs(known - np.median(known)))
+    kept = ranked[: int(_TRIM * ranked.size)]
+    return {
+        "median_px": round(float(np.median(ranked)), 3),
+        "trimmed_rms_px": round(float(np.sqrt(np.mean(kept**2))), 3),
+        "rms_px": round(float(np.sqrt(np.mean(ranked**2))), 3),
+        "compared": round(known.size / difference_px.size, 3),
+    }
 
 
 def measure_stereo() -> dict[str, Any]:
@@ -165,6 +192,19 @@ def measure_stereo() -> dict[str, Any]:
     }
 
 
+def _seen_twice(found: HeightError, truth: SimulationTruth) -> BoolArray:
+    """Return which points of a result's grid the reference view and another one really see."""
+    import numpy as np
+
+    known = np.isfinite(found.true_um[..., 2]) & found.seen
+    points = np.column_stack([found.true_um[known], np.ones(known.sum())])
+    grid = np.rint(points @ np.linalg.inv(truth.world_from_grid)[:2].T).astype(np.int64)
+    rows, cols = (np.clip(grid[:, axis], 0, truth.height_um.shape[1 - axis] - 1) for axis in (1, 0))
+    seen = known.copy()
+    seen[known] = truth.visible[:, rows, cols].sum(axis=0) >= 2
+    return seen
+
+
 def _wrong(disparity: FloatArray, true: FloatArray) -> dict[str, float]:
     import numpy as np
 
@@ -197,7 +237,9 @@ def _only(cameras: Reconstruction, pair: tuple[int, int]) -> Reconstruction:
     return replace(cameras, motion=chosen, reference=int(np.argmin(np.abs(chosen.tilt_rad))))
 
 
-def _errors(height_map: HeightMap, cameras: Reconstruction, truth: SimulationTruth) -> dict[str, Any]:
+def surface_errors(
+    specimen: str, height_map: HeightMap, cameras: Reconstruction, truth: SimulationTruth
+) -> dict[str, Any]:
     import numpy as np
 
     from semscape.evaluate.height_errors import height_error
@@ -212,8 +254,8 @@ def _errors(height_map: HeightMap, cameras: Reconstruction, truth: SimulationTru
         "median_px": round(float(np.median(ranked)), 3),
         "trimmed_rmse_px": round(float(np.sqrt(np.mean(ranked[: int(_TRIM * ranked.size)] ** 2))), 3),
         "normal_median_deg": round(float(np.median(angle)), 2),
-        "completeness": round(float(np.isfinite(height_map.height_um[found.seen]).mean()), 4),
-    }
+        "completeness": round(float(np.isfinite(height_map.height_um[_seen_twice(found, truth)]).mean()), 4),
+    } | shape_figures(specimen, found, truth)
     sigma = height_map.uncertainty_um / pixel
     if np.isfinite(sigma).any():
         within = (error < sigma)[known]
@@ -224,22 +266,3 @@ def _errors(height_map: HeightMap, cameras: Reconstruction, truth: SimulationTru
             round(float(within[bin_of == i].mean()), 3) for i in range(_BINS) if (bin_of == i).any()
         ]
     return figures
-
-
-def _rises(true: FloatArray, profile: FloatArray, low: float, high: float) -> list[float]:
-    """Return the widths, in px along a row, over which a profile goes from 10 to 90 % at each wall of the truth."""
-    import numpy as np
-
-    step = high - low
-    at = np.flatnonzero(np.abs(np.diff(true)) > 0.5 * step)
-    widths = []
-    for wall in at[(at > 20) & (at < len(true) - 21)]:
-        piece = (profile[wall - 15 : wall + 17] - low) / step
-        if not np.isfinite(piece).all():
-            continue
-        piece = piece if true[wall + 1] > true[wall] else piece[::-1]
-        below, above = np.flatnonzero(piece < 0.1), np.flatnonzero(piece > 0.9)
-        if below.size and above.size and above.max() > below.max():
-            end = int(above[above > below.max()].min())
-            widths.append(float(end - below.max()))
-    return widths

@@ -1,7 +1,9 @@
 """Draw the pictures of docs/ (`make docs-pictures`): hillshades of the measured series, the one of the README,
 and the pair with a fixed threshold and a contrario.
 
-Names given on the command line draw those alone: potamogeton1, quartz, dsa, readme, specimens, matching, viewer,
+Of a measured series two pictures are made: its hillshade, and beside each other at full size, a pixel for each height,
+semscape's and that of OpenCV's StereoSGBM with the same cameras. Names given on the command line draw
+those alone: potamogeton1, quartz, dsa, readme, specimens, matching, viewer,
 report, coverage, full-object; viewer and report need a chromium.
 """
 
@@ -24,6 +26,7 @@ import semscape
 from chromium import CHROMIUM_FLAGS, find_chromium
 from full_object import all_around
 from isolated import REAL_SETS, REPOSITORY, absent, real_set_folder
+from semscape.dense.rival import sgbm_height_map
 from semscape.experiments.matching import FIXED_THRESHOLDS_PX
 from semscape.experiments.matching_pairs import simulated_pair
 from semscape.experiments.study import Setting
@@ -34,7 +37,7 @@ from semscape.report.hillshade import hillshade
 from semscape.report.html import render_html
 from semscape.report.unknown import coverage_picture
 from semscape.simulate import PRESETS, SPECIMENS, acquire, simulate
-from semscape.types import Result
+from semscape.types import HeightMap, Result
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -44,15 +47,35 @@ PICTURES = REPOSITORY / "docs" / "pictures"
 _LARGEST_BYTES = 500_000
 _LARGE_BYTES = 400_000
 _COLOURS = 256
+_GAP_PX = 8
+_UNKNOWN = (200, 212, 230)
 _README_SPECIMEN = "pollen"
 _TILE_PX = 240
 _COVERAGE_PX = 400
 _FULL_OBJECT_PX = 320
 
 
-def draw_real(name: str) -> bytes:
-    """Return the hillshade of a measured series, reconstructed without any option."""
-    return hillshade_picture(semscape.reconstruct(semscape.load_series(real_set_folder(name)), rng=0).height_map)
+def draw_real(name: str) -> dict[str, bytes]:
+    """Return the pictures of a measured series, reconstructed without any option, by the names of their files."""
+    result = semscape.reconstruct(semscape.load_series(real_set_folder(name)), rng=0)
+    return {
+        f"hillshade_{name}.png": _on_white(hillshade_picture(result.height_map)),
+        f"beside_sgbm_{name}.webp": beside_sgbm(result.height_map, sgbm_height_map(result)),
+    }
+
+
+def beside_sgbm(ours: HeightMap, sgbm: HeightMap) -> bytes:
+    """Return the hillshades of two height maps beside each other as WebP, a pixel for each height, as good as fits."""
+    shades = [hillshade(each.height_um, each.pixel_size_um) for each in (ours, sgbm)]
+    gap = np.full((shades[0].shape[0], _GAP_PX, 3), 255, np.uint8)
+    tiles = [np.where(np.isnan(shade)[..., None], _UNKNOWN, 255 * shade[..., None]) for shade in shades]
+    whole = fromarray(np.hstack([tiles[0].astype(np.uint8), gap, tiles[1].astype(np.uint8)]))
+    for quality in range(90, 0, -5):
+        buffer = io.BytesIO()
+        whole.save(buffer, format="webp", quality=quality, method=6)
+        if buffer.tell() <= _LARGEST_BYTES:
+            break
+    return buffer.getvalue()
 
 
 def draw_readme() -> bytes:
@@ -222,13 +245,13 @@ def main(names: list[str]) -> None:
         if reason:
             print(f"{name}: skipped, {reason}", file=sys.stderr)
             continue
-        path = PICTURES / (f"{name}.png" if name in _SIMULATED else f"hillshade_{name}.png")
-        picture = _SIMULATED[name]() if name in _SIMULATED else draw_real(name)
-        picture = _on_white(picture)
-        if len(picture) > _LARGEST_BYTES:
-            raise SystemExit(f"{path.name} has {len(picture)} bytes, more than {_LARGEST_BYTES}")
-        path.write_bytes(picture)
-        print(f"{path.relative_to(REPOSITORY)}: {len(picture) // 1000} kB")
+        pictures = {f"{name}.png": _on_white(_SIMULATED[name]())} if name in _SIMULATED else draw_real(name)
+        for file_name, picture in pictures.items():
+            if len(picture) > _LARGEST_BYTES:
+                raise SystemExit(f"{file_name} has {len(picture)} bytes, more than {_LARGEST_BYTES}")
+            path = PICTURES / file_name
+            path.write_bytes(picture)
+            print(f"{path.relative_to(REPOSITORY)}: {len(picture) // 1000} kB")
 
 
 if __name__ == "__main__":

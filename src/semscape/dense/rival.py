@@ -47,8 +47,8 @@ def sgbm_height_map(result: Result) -> HeightMap:
     frame, first, last, warped, images = _widest_pair(result)
     baseline = float(frame.parallax[last] - frame.parallax[first])
 
-    # A height h is seen at u + h g, so OpenCV's disparity u1 - u2 is -h baseline.
-    low, high = (height * baseline for height in height_range_px(result.reconstruction, frame))
+    # A height h is seen at u + h g, so OpenCV's disparity u1 - u2 is -h baseline; the baseline has a sign.
+    low, high = sorted(height * baseline for height in height_range_px(result.reconstruction, frame))
     least = int(np.floor(-high)) - _MARGIN_PX
     count = int(np.ceil((high - low + 2 * _MARGIN_PX) / _SUBPIXEL_STEPS)) * _SUBPIXEL_STEPS
     matcher = cv2.StereoSGBM.create(

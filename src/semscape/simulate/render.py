@@ -109,7 +109,7 @@ def render_signal(
         hit = np.flatnonzero(~np.isnan(position[:, 2]))
         position, beam = position[hit], beam if len(beam) == 1 else beam[hit]
         values = np.zeros((len(signal), len(points)))
-        values[:, hit] = _shade(scene, position, place[hit], beam, world_from_lab)
+        values[:, hit] = shade(scene, position, place[hit], beam, world_from_lab)
         shape = stop - start, samples, width, samples
         for channel, value in zip(signal, values, strict=True):
             channel[start:stop] = value.reshape(shape).mean(axis=(1, 3))
@@ -123,10 +123,10 @@ def render_signal(
     return signal, depth
 
 
-def _shade(
+def shade(
     scene: Scene, position: FloatArray, place: FloatArray, beam: FloatArray, world_from_lab: FloatArray
 ) -> FloatArray:
-    """Return the signal (K, N) of every channel at hits (N, 3)."""
+    """Return the signal (K, N) of every channel at points (N, 3) of the surface and their places of `Surface.cast`."""
     options = scene.options
     attributes = scene.surface.attributes(place)
     facing = attributes[:, NORMAL].copy()
