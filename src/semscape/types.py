@@ -377,12 +377,16 @@ class SimulationTruth(_Value):
 
 @dataclass(frozen=True, eq=False)
 class StageReport(_Value):
-    """One stage of a run: its name, wall seconds, figures (plain JSON values) and the process's peak memory in it."""
+    """One stage of a run: its name, wall seconds, figures (plain JSON values) and the process's peak memory in it.
+
+    `earlier` says that an earlier attempt of an interrupted run did it; seconds and memory are those that it took then.
+    """
 
     name: str
     seconds: float
     figures: Mapping[str, Any] = field(default_factory=dict)
     peak_memory_mb: float = np.nan
+    earlier: bool = False
 
 
 @dataclass(frozen=True, eq=False)

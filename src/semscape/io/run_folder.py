@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from semscape.errors import BadInputError
+from semscape.errors import BadInputError, StorageError
 from semscape.geometry.rotations import tilted_cam_from_world
 from semscape.io.surfaces import (
     encode_height_map_npz,
@@ -59,7 +59,7 @@ def prepare_run_folder(folder: Path | str) -> Path:
 
     Raises
     ------
-    BadInputError
+    StorageError
         If the folder is a file, holds something else than a run, or cannot be written.
     """
     path = make_folder(folder)
@@ -69,17 +69,17 @@ def prepare_run_folder(folder: Path | str) -> Path:
         complete = {"report.json", "reconstruction.json", "options.toml"} <= visible
         foreign = visible - ({*RUN_FILES} if WORK_NAME in entries else set())
         if foreign and not complete:
-            raise BadInputError(
+            raise StorageError(
                 f"the output folder {path} is not empty and is not an earlier run of semscape (it holds "
                 f"{min(foreign)!r}); give a new or empty folder"
             )
         refuse_newer_format(path)
         for name in RUN_FILES:
             if (path / name).is_dir():
-                raise BadInputError(f"the output folder {path} cannot be written: {name} in it is a folder")
+                raise StorageError(f"the output folder {path} cannot be written: {name} in it is a folder")
         shutil.rmtree(_make_partial(path))
     except OSError as error:
-        raise BadInputError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
+        raise StorageError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
     return path
 
 
@@ -88,29 +88,29 @@ def make_folder(folder: Path | str) -> Path:
 
     Raises
     ------
-    BadInputError
+    StorageError
         If a file stands in its place, or nothing can be written there.
     """
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
-        raise BadInputError(f"the output folder {path} cannot be made: a file stands in its place") from error
+        raise StorageError(f"the output folder {path} cannot be made: a file stands in its place") from error
     except (OSError, ValueError) as error:
         reason = error.strerror or error if isinstance(error, OSError) else error
-        raise BadInputError(f"the output folder {path} cannot be written: {reason}") from error
+        raise StorageError(f"the output folder {path} cannot be written: {reason}") from error
     return path
 
 
 def refuse_newer_format(folder: Path) -> None:
-    """Raise `BadInputError` for a run folder that a newer semscape wrote, whose files this one would misread."""
+    """Raise `StorageError` for a run folder that a newer semscape wrote, whose files this one would misread."""
     try:
         report = json.loads((folder / "report.json").read_bytes())
         told = report.get("format", RUN_FORMAT)
     except (OSError, ValueError, AttributeError, RecursionError):
         return
     if isinstance(told, int) and told > RUN_FORMAT:
-        raise BadInputError(
+        raise StorageError(
             f"{folder} was written by a newer semscape (format {told}; this one knows {RUN_FORMAT}): update "
             "semscape, or give another folder"
         )
@@ -139,7 +139,7 @@ def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
 
     Raises
     ------
-    BadInputError
+    StorageError
         If the folder cannot be written; the files that were there before are then untouched.
     """
     path = Path(folder)
@@ -157,7 +157,7 @@ def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
-        raise BadInputError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
+        raise StorageError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
 
 
 def reconstruction_to_dict(reconstruction: Reconstruction, names: Sequence[str]) -> dict[str, Any]:
