@@ -57,6 +57,7 @@ def assert_complete(output: Path, expected: dict[str, bytes]) -> None:
 
 
 def test_killed_at_every_stage_and_at_random_moments_then_resumed(images: Path, tmp_path: Path, undisturbed) -> None:
+    """After each kill the bytes are compared there; those of another process, which was never killed, here."""
     output = tmp_path / "run"
     script = Path(__file__).with_name("killed_runs.py")
     environment = worker_environment(threads=1) | {"NUMBA_THREADING_LAYER": "workqueue"}

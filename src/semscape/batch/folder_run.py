@@ -55,7 +55,7 @@ def reconstruct_folder(
     options : Options
         Of every stage.
     workers, mapper, progress
-        As in `semscape.reconstruct`; `progress` is told of "load" and "report" as well.
+        As in `semscape.reconstruct`; `progress` is told of "report" as well.
     on_series : callable, optional
         Called with the series once it is read.
 

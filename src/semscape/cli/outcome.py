@@ -63,7 +63,8 @@ def exit_codes(*, debug: bool, quiet: bool, log_json: bool = False) -> Iterator[
         raise typer.Exit(code) from None
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            if signal.getsignal(number) is not signal.SIG_IGN:  # else one has come, and this process is about to end
+                signal.signal(number, handler)
 
 
 def log_error(message: str, code: int, error: Exception | None = None) -> None:

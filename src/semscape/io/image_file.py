@@ -25,7 +25,7 @@ IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp")
 MAX_PIXELS = 1_000_000_000
 # No micrograph is packed as tightly as this many times; nothing but a bomb, or a field of one value, is.
 _MOST_TIMES_PACKED = 300
-_LARGE_PIXELS = 20_000_000
+_LARGE_PIXELS = 4_000_000  # below, a bomb costs no more than a micrograph does
 
 _SOFTWARE_TAG = 305
 _ORIENTATION_TAG = 274
