@@ -243,6 +243,9 @@ def test_dask_with_a_worker_killed_in_mid_run(cluster: Cluster, master_images, t
     with open_executor(Placement(scheduler=cluster.address)) as executor:
         assert executor.workers == 2
         assert list(executor.map(square, range(5))) == [0, 1, 4, 9, 16]
+        large = list(executor.run(partial(add, bytes(200_000)), [b"1", b"2"]))  # the function goes to each worker once
+        assert sorted(outcome.value for outcome in large) == [b"1", b"2"]
+        assert 400_000 < sum(outcome.n_bytes for outcome in large) < 402_000
         endings = run_batch(specimens, output, QUICK, executor, Killer())
     assert [ending.record.name for ending in endings] == [f"s{i}" for i in range(4)]
     assert sorted(told) == [f"s{i}" for i in range(4)]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from semscape.batch.input_files import FileStates, file_states, require_unchanged
-from semscape.batch.memory_lack import lack_of_memory
+from semscape.batch.memory_lack import lack_of_memory_told
 from semscape.cluster import Mapper
 from semscape.errors import SemscapeError, StorageError
 from semscape.io.lock import FolderLock
@@ -77,7 +77,7 @@ def reconstruct_folder(
         if progress:
             progress(name, figures)
 
-    try:
+    with lack_of_memory_told(lambda: stage):
         states = file_states(folder)
         series = load_series(folder, options.input)
         if on_series:
@@ -85,11 +85,6 @@ def reconstruct_folder(
         with FolderLock(make_folder(output)):
             prepare_run_folder(output)
             return _reconstruct_locked(folder, states, series, output, options, workers, mapper, follow)
-    except Exception as error:
-        lack = lack_of_memory(error, stage)
-        if lack is None:
-            raise
-        raise lack from error
 
 
 def _reconstruct_locked(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from semscape.errors import OutOfMemoryError
 
@@ -17,12 +19,24 @@ _REDUCE = {
 }
 
 
-def lack_of_memory(error: Exception, stage: str) -> OutOfMemoryError | None:
-    """Return what to say of an error that is a lack of memory, in the words of any library; None for every other."""
-    if not _is_lack(error):
-        return None
-    less = _REDUCE.get(stage, "smaller images")
-    return OutOfMemoryError(f"out of memory in stage {stage}; fewer --workers, more --memory-mb, or {less}")
+@contextmanager
+def lack_of_memory_told(stage: Callable[[], str]) -> Iterator[None]:
+    """Turn what is a lack of memory, in the words of any library, into one message with the stage and what to reduce.
+
+    Raises
+    ------
+    OutOfMemoryError
+        Instead of `MemoryError` and its like; every other error passes.
+    """
+    try:
+        yield
+    except Exception as error:
+        if not _is_lack(error):
+            raise
+        less = _REDUCE.get(stage(), "smaller images")
+        raise OutOfMemoryError(
+            f"out of memory in stage {stage()}; fewer --workers, more --memory-mb, or {less}"
+        ) from error
 
 
 def _is_lack(error: BaseException | None) -> bool:

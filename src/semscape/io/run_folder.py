@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -45,6 +46,7 @@ RUN_FORMAT = 1
 """Version of the run folder's contract; it grows where a reader of the version before would misread a folder."""
 
 _PARTIAL_PREFIX = ".semscape-partial-"
+_OWN_FILES = re.compile("|".join([*map(re.escape, RUN_FILES), r"merged\.(ply|glb)", r"height_map_\d+\.npz"]))
 
 
 def prepare_run_folder(folder: Path | str) -> Path:
@@ -67,7 +69,7 @@ def prepare_run_folder(folder: Path | str) -> Path:
         entries = {entry.name for entry in path.iterdir()}
         visible = {name for name in entries if not name.startswith(".")}
         complete = {"report.json", "reconstruction.json", "options.toml"} <= visible
-        foreign = visible - ({*RUN_FILES} if WORK_NAME in entries else set())
+        foreign = {name for name in visible if not (WORK_NAME in entries and _OWN_FILES.fullmatch(name))}
         if foreign and not complete:
             raise StorageError(
                 f"the output folder {path} is not empty and is not an earlier run of semscape (it holds "
