@@ -193,7 +193,7 @@ MAKERS: tuple[Callable[[Path, random.Random], None], ...] = (
 
 
 STAGES = ("refused unread", "read", "decoded", "metadata parsed", "matching", "calibrating", "surface", "whole run")
-"""How far an input gets: `read` is where decoding an image fails, `metadata parsed` where the series is refused."""
+"""How far an input gets: `read`: an image fails to decode; `metadata parsed`: a view has nothing to match."""
 
 
 class _Depth:

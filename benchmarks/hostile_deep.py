@@ -146,9 +146,7 @@ def packed_bombs(folder: Path, dice: random.Random) -> None:
 
 def spoiled_pixels(folder: Path, dice: random.Random) -> None:
     """Bits flipped in the data of the strips alone: each decoder's own checks must find them, or the image is noise."""
-    names = {
-        "compression": dice.choice([None, "zlib", "lzw", "jpeg", "packbits", "zstd", "lzma", "png", "webp", "jpeg2000"])
-    }
+    names = {"compression": dice.choice([None, "zlib", "lzw", "jpeg", "packbits", "zstd", "lzma", "png", "jpeg2000"])}
     if names["compression"] in ("zlib", "lzw") and dice.random() < 0.5:
         names["predictor"] = True
     if dice.random() < 0.4:
