@@ -7,6 +7,7 @@ they tell something on a machine that does other work too.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import resource
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from isolated import Case, run_cases
+from semscape.batch.folder_run import reconstruct_folder
 from semscape.batch.manifest import find_specimens
 from semscape.batch.record import Ending
 from semscape.batch.run import run_batch
@@ -32,7 +34,7 @@ from semscape.pipeline import reconstruct
 from semscape.simulate import SimulationOptions, simulate
 
 _MICROSCOPE = SimulationOptions(tilts_deg=(-6.0, 0.0, 6.0), width_px=256, height_px=256)
-_N_SPECIMENS = 16
+_N_SPECIMENS = 8
 _N_EMPTY = 10_000
 _MANY_VIEWS = (10, 20, 40, 60)
 _QUICK_SEARCH = [
@@ -72,6 +74,7 @@ def throughput() -> dict[str, Any]:
             busy = sum(ending.record.seconds for ending in endings)
             staged = sum(sum(ending.record.report["stages"].values()) for ending in endings)
             rows[f"workers_{workers}"] = {
+                "load_of_the_machine": round(os.getloadavg()[0], 1),
                 "specimens_per_hour": round(3600 * _N_SPECIMENS / seconds),
                 "seconds_per_specimen": round(busy / _N_SPECIMENS, 3),
                 "cpu_seconds_per_specimen": round(cpu / (_N_SPECIMENS + workers), 3),
@@ -90,6 +93,37 @@ def _children_cpu_seconds() -> float:
     """Return the CPU time of all processes that were started here and have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
+
+
+def stage_table(width_px: int, height_px: int) -> dict[str, Any]:
+    """Reconstruct one specimen on one thread, twice, and tell the CPU seconds of each stage of the second time."""
+    microscope = SimulationOptions(tilts_deg=(-6.0, 0.0, 6.0), width_px=width_px, height_px=height_px)
+    begun: dict[str, float] = {}
+
+    def note(stage: str, figures: Any) -> None:
+        if figures is None:
+            begun[stage] = time.process_time()
+
+    with tempfile.TemporaryDirectory() as folder:
+        images = write_simulated_series(Path(folder) / "images", *simulate("fracture", microscope, rng=1))
+        small = SimulationOptions(tilts_deg=(-6.0, 0.0, 6.0), width_px=128, height_px=128)
+        warm = write_simulated_series(Path(folder) / "warm", *simulate("fracture", small, rng=1))
+        reconstruct_folder(warm, Path(folder) / "run-warm", Options(), workers=1)  # loads and compiles the code
+        start, clock = time.process_time(), time.perf_counter()
+        found = reconstruct_folder(images, Path(folder) / "run", Options(), workers=1, progress=note)
+        end, clock = time.process_time(), time.perf_counter() - clock
+        bytes_read = sum(path.stat().st_size for path in images.iterdir() if path.suffix == ".tif")
+        bytes_written = sum(path.stat().st_size for path in (Path(folder) / "run").iterdir())
+    moments = [start, *begun.values(), end]
+    seconds = [round(after - before, 2) for before, after in itertools.pairwise(moments)]
+    return {
+        "cpu_seconds": dict(zip(["load", *begun], seconds, strict=True)),
+        "cpu_seconds_in_all": round(end - start, 2),
+        "clock_seconds_in_all": round(clock, 2),
+        "peak_memory_mb": round(found.report.peak_memory_mb),
+        "mb_read": round(bytes_read / 1e6, 1),
+        "mb_written": round(bytes_written / 1e6, 1),
+    }
 
 
 def many_views(n_views: int) -> dict[str, Any]:
@@ -164,6 +198,8 @@ CASES: dict[str, Case] = {
     "throughput": (throughput, ()),
     "empty-tasks-on-processes": (empty_tasks_on_processes, ()),
     "empty-tasks-on-dask": (empty_tasks_on_dask, ()),
+    "stages-256x256": (stage_table, (256, 256)),
+    "stages-1024x768": (stage_table, (1024, 768)),
     **{f"views-{n}": (many_views, (n,)) for n in _MANY_VIEWS},
 }
 

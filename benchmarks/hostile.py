@@ -1,20 +1,24 @@
 """Bad input at scale: every hostile folder or manifest must end in success or a SemscapeError, soon, in little memory.
 
-`python benchmarks/hostile.py [COUNT]` tries 2,000 of them (or COUNT) in worker processes and prints JSON; exit code 1
-where one ended in anything else, took more than 10 s, or took more than 1 GB.
+`python benchmarks/hostile.py [COUNT]` tries 2,000 of them (or COUNT) in worker processes and prints JSON: how they
+ended, and how far they got. Exit code 1 where one ended in anything else, took more than 10 s of CPU, waited for a
+minute, or took more than 1 GB. A third of them is damaged from the start, the others get deeper (hostile_deep.py).
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import random
+import signal
 import struct
 import sys
 import tempfile
+import threading
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +26,25 @@ import numpy as np
 import tifffile
 from PIL import Image
 
+from hostile_deep import DEEP_MAKERS
+from semscape.batch.folder_run import reconstruct_folder
 from semscape.batch.manifest import find_specimens
 from semscape.batch.run import options_of_rows
 from semscape.errors import SemscapeError
+from semscape.io import micrograph
+from semscape.io.image_file import decode_image
 from semscape.io.series import load_series
 from semscape.options import Options, read_toml
 from semscape.pipeline import reconstruct
 
 MOST_S, MOST_MB = 10.0, 1000.0
+_MOST_WAIT_S = 60.0
+QUICK = Options().with_settings(
+    [
+        *("sfm.de_generations=2", "sfm.de_population_per_variable=2", "sfm.max_iterations=5"),
+        *("dense.max_pairs=1", "dense.mesh_max_vertices=500"),
+    ]
+)
 _SHAPE = (48, 64)
 _TEXTS = [
     "", "\0", "nan", "1e999", "-1", "99999999999999999999", "../../etc/passwd", "/dev/zero", "C:\\con", "\x1b[2J",
@@ -177,41 +192,117 @@ MAKERS: tuple[Callable[[Path, random.Random], None], ...] = (
 )
 
 
+STAGES = ("refused unread", "read", "decoded", "metadata parsed", "matching", "calibrating", "surface", "whole run")
+"""How far an input gets: `read`: an image fails to decode; `metadata parsed`: a view has nothing to match."""
+
+
+class _Depth:
+    """Notes how far a series gets."""
+
+    def __init__(self) -> None:
+        self.n_read = self.n_decoded = 0
+        self.stage = ""
+
+    def reached(self) -> str:
+        read = "read" if self.n_read > self.n_decoded else "decoded" if self.n_decoded else "refused unread"
+        return self.stage or read
+
+    def decode(self, path: Path, data: bytes) -> Any:
+        self.n_read += 1
+        decoded = decode_image(path, data)
+        self.n_decoded += 1
+        return decoded
+
+    def progress(self, stage: str, _: Any) -> None:
+        begun = {"match": "matching", "calibrate": "calibrating", "surface": "surface", "mesh": "surface"}
+        self.stage = begun.get(stage, self.stage)
+
+    def run(self, folder: Path, out: Path | None) -> None:
+        """Load and reconstruct; every few times into a run folder, with its report."""
+        really, micrograph.decode_image = micrograph.decode_image, self.decode
+        try:
+            series = load_series(folder)
+        finally:
+            micrograph.decode_image = really
+        self.stage = "metadata parsed"
+        if out:
+            reconstruct_folder(folder, out, QUICK, workers=1, progress=self.progress)
+        else:
+            reconstruct(series, QUICK, workers=1, progress=self.progress)
+        self.stage = "whole run"
+
+
+def _read_rows(folder: Path) -> None:
+    options_of_rows(find_specimens(folder / "MANIFEST.csv", folder / "out"), Options())
+
+
 def try_case(number: int) -> dict[str, Any]:
-    """Make hostile input `number`, do with it what semscape would, and return how that ended."""
+    """Make hostile input `number` of those that fail early, and tell how that ended."""
+    return _tried(MAKERS[number % len(MAKERS)], number, "")
+
+
+def try_deep_case(number: int) -> dict[str, Any]:
+    """Make hostile input `number` of those that get past the first checks, and tell how that ended."""
+    return _tried(DEEP_MAKERS[number % len(DEEP_MAKERS)], number, "deep-")
+
+
+def _tried(maker: Callable[[Path, random.Random], None], number: int, kind: str) -> dict[str, Any]:
     from semscape.report.memory import PeakMemory
 
-    maker = MAKERS[number % len(MAKERS)]
+    depth = _Depth()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        maker(folder, random.Random(number))
+        folder = Path(name) / "set"
+        folder.mkdir()
+        maker(folder, random.Random(f"{kind}{number}" if kind else number))
         memory = PeakMemory()
-        held_mb, start = memory.peak_mb(), time.perf_counter()
+        held_mb, start, cpu = memory.peak_mb(), time.perf_counter(), time.process_time()
         try:
-            if (folder / "MANIFEST.csv").exists():
-                options_of_rows(find_specimens(folder / "MANIFEST.csv", folder / "out"), Options())
-            elif (folder / "options.toml").exists():
-                read_toml((folder / "options.toml").read_text(encoding="utf-8"))
-            else:
-                reconstruct(load_series(folder), Options(), workers=1)
+            with _alarm():
+                if (folder / "MANIFEST.csv").exists():
+                    _read_rows(folder)
+                elif (folder / "options.toml").exists():
+                    read_toml((folder / "options.toml").read_text(encoding="utf-8"))
+                else:
+                    depth.run(folder, Path(name) / "out" if number % 7 == 0 else None)
             ended = "good"
         except SemscapeError as error:
             ended = "refused" if str(error) else "a SemscapeError without a message"
         except Exception as error:  # noqa: BLE001 (this is what is looked for)
             ended = f"{type(error).__name__}: {str(error)[:200]}"
-        seconds = time.perf_counter() - start
+        seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
     return {
-        "number": number,
+        "number": f"{kind}{number}",
         "maker": maker.__name__,
         "ended": ended,
+        "reached": depth.reached(),
         "seconds": seconds,
+        "cpu_seconds": cpu,
         "taken_mb": memory.peak_mb() - held_mb,  # what the process held before is not the input's doing
     }
 
 
+@contextlib.contextmanager
+def _alarm() -> Iterator[None]:
+    """Let what waits for ever end as a fault."""
+    if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def ring(*_: object) -> None:
+        raise RuntimeError(f"no end within {_MOST_WAIT_S} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, _MOST_WAIT_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
 def is_fault(case: dict[str, Any]) -> bool:
-    """Tell whether a case broke the promise."""
-    return case["ended"] not in ("good", "refused") or case["seconds"] > MOST_S or case["taken_mb"] > MOST_MB
+    """Tell whether a case broke the promise; the clock of a machine that does other work too is not its doing."""
+    return case["ended"] not in ("good", "refused") or case["cpu_seconds"] > MOST_S or case["taken_mb"] > MOST_MB
 
 
 def main() -> None:
@@ -221,21 +312,31 @@ def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 2000
     cases, faults = [], []
     sys.path.insert(0, str(Path(__file__).parent))
-    from hostile import try_case as importable  # not __main__'s, which a worker cannot find
+    import hostile  # not __main__'s functions, which a worker cannot find
 
     with open_executor(Placement(threads=1)) as executor:
-        for outcome in executor.run(importable, range(count)):
-            if outcome.error is not None:
-                faults.append({"number": outcome.index, "ended": f"{type(outcome.error).__name__}: {outcome.error}"})
-            else:
-                cases.append(outcome.value)
+        for function, share in ((hostile.try_case, count // 3), (hostile.try_deep_case, count - count // 3)):
+            for outcome in executor.run(function, range(share)):
+                if outcome.error is not None:
+                    told = f"{type(outcome.error).__name__}: {outcome.error}"
+                    faults.append({"number": outcome.index, "ended": told, "function": function.__name__})
+                else:
+                    cases.append(outcome.value)
     faults += [case for case in cases if is_fault(case)]
+    series = [case for case in cases if case["maker"] not in ("_manifest", "_options")]
+    stages = Counter(case["reached"] for case in series)
     told = {
         "n": count,
         "ended": Counter(case["ended"] if case["ended"] in ("good", "refused") else "fault" for case in cases),
-        "makers": Counter(case["maker"] for case in cases),
-        "longest_s": max(case["seconds"] for case in cases),
-        "taken_mb": max(case["taken_mb"] for case in cases),
+        "manifests_and_options": len(cases) - len(series),
+        "reached": {stage: stages[stage] for stage in STAGES},
+        "makers": {
+            maker: Counter(case["reached"] for case in cases if case["maker"] == maker)
+            for maker in sorted({case["maker"] for case in cases})
+        },
+        "longest_s": round(max(case["seconds"] for case in cases), 2),
+        "longest_cpu_s": round(max(case["cpu_seconds"] for case in cases), 2),
+        "taken_mb": round(max(case["taken_mb"] for case in cases)),
         "faults": faults,
     }
     print(json.dumps(told, indent=1))

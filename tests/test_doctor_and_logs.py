@@ -42,6 +42,26 @@ def test_log_json_is_lines_of_json_alone(images: Path, tmp_path: Path) -> None:
     assert all(line["peak_memory_mb"] > 50 for line in took.values())
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere", "-o", "out"], "there is no such folder"),
+        (["nowhere", "-o", "out", "--debug"], "there is no such folder"),
+        (["nowhere"], "Missing option '--output'"),
+        (["nowhere", "-o", "out", "--tilt", "3"], "No such option: --tilt"),
+    ],
+)
+def test_log_json_tells_errors_as_json_too(tmp_path: Path, arguments: list[str], message: str) -> None:
+    command = [sys.executable, "-m", "semscape", "reconstruct", *arguments, "--log-json"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, cwd=tmp_path)
+    assert done.returncode == 2
+    last = [json.loads(line) for line in done.stderr.splitlines()][-1]
+    assert message in last["message"]
+    assert (last["level"], last["exit_code"]) == ("ERROR", 2)
+    assert ("traceback" in last) == ("--debug" in arguments)
+
+
 def test_the_log_of_a_run_is_not_shown(images: Path, tmp_path: Path) -> None:
     done = reconstruct_in_process(images, tmp_path / "run")
     assert done.returncode == 0, done.stderr

@@ -18,6 +18,18 @@ class BadInputError(SemscapeError):
     """Files, folders or settings that cannot be used as given (exit code 2)."""
 
 
+class PassingError(SemscapeError):
+    """What the same data and options may well survive another time: it says nothing about them."""
+
+
+class StorageError(BadInputError, PassingError):
+    """Files or folders that cannot be read or written now: in use, full, protected, changing (exit code 2)."""
+
+
+class OutOfMemoryError(PassingError):
+    """More memory was asked for than there is; the message names the stage and what to reduce (exit code 3)."""
+
+
 class NoAnswerError(SemscapeError):
     """The input is well formed, but the images do not determine a surface (exit code 3)."""
 
@@ -40,6 +52,8 @@ def verdict_of(error: Exception) -> tuple[int, str]:
     """
     linear_algebra = sys.modules.get("numpy.linalg")
     is_numerical = linear_algebra is not None and isinstance(error, linear_algebra.LinAlgError)
+    if isinstance(error, MemoryError):
+        return 3, f"out of memory{': ' if str(error) else ''}{error}; fewer --workers, or smaller images"
     if isinstance(error, BadInputError):
         return 2, str(error)
     if isinstance(error, SemscapeError):

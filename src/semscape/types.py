@@ -358,17 +358,16 @@ class SimulationTruth(_Value):
     def select(self, indices: tuple[int, ...]) -> SimulationTruth:
         """Return the truth of the views `indices`, in that order; the surface is the same."""
         at = list(indices)
-        motion = replace(
-            self.motion,
-            tilt_rad=self.motion.tilt_rad[at],
-            roll_rad=self.motion.roll_rad[at],
-            scale_px_per_um=self.motion.scale_px_per_um[at],
-            anisotropy=self.motion.anisotropy[at],
-            translation_px=self.motion.translation_px[at],
-        )
         return replace(
             self,
-            motion=motion,
+            motion=replace(
+                self.motion,
+                tilt_rad=self.motion.tilt_rad[at],
+                roll_rad=self.motion.roll_rad[at],
+                scale_px_per_um=self.motion.scale_px_per_um[at],
+                anisotropy=self.motion.anisotropy[at],
+                translation_px=self.motion.translation_px[at],
+            ),
             stage_tilt_rad=self.stage_tilt_rad[at],
             visible=self.visible[at],
             skew=tuple(self.skew[i] for i in at) if self.skew else (),
@@ -377,12 +376,13 @@ class SimulationTruth(_Value):
 
 @dataclass(frozen=True, eq=False)
 class StageReport(_Value):
-    """One stage of a run: its name, wall seconds, figures (plain JSON values) and the process's peak memory in it."""
+    """A stage of a run: its name, wall seconds, figures, peak memory; `earlier` where an interrupted attempt did it."""
 
     name: str
     seconds: float
     figures: Mapping[str, Any] = field(default_factory=dict)
     peak_memory_mb: float = np.nan
+    earlier: bool = False
 
 
 @dataclass(frozen=True, eq=False)

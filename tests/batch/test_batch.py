@@ -12,8 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from run_products import QUICK, products, undrawn
+from semscape.batch import folder_run
 from semscape.batch import specimen as specimen_module
 from semscape.cli import app
+from semscape.io.lock import FolderLock
 from semscape.report import figures
 
 
@@ -129,6 +131,93 @@ def test_a_record_of_a_newer_semscape_is_not_overwritten(specimens: Path, tmp_pa
     batch(specimens, tmp_path / "out")
     assert "written by a newer semscape" in rows(tmp_path / "out")["third"]["reason"]
     assert record.read_text() == '{"format": 99}'
+
+
+@pytest.mark.parametrize("cause", ["locked", "newer", "foreign", "changed", "removed", "memory", "thread"])
+def test_failures_that_pass_are_tried_again_unasked(
+    specimens: Path, tmp_path: Path, ran: list[str], monkeypatch, cause: str
+) -> None:
+    shutil.rmtree(specimens / "second")
+    shutil.rmtree(specimens / "third")
+    output, image = tmp_path / "out", sorted((specimens / "first").glob("*.tif"))[0]
+    run, content = output / "first", image.read_bytes()
+    really = folder_run.reconstruct
+    lock = FolderLock(run)
+
+    def disturbed(*given: Any, **named: Any) -> Any:
+        if cause == "changed":
+            image.write_bytes(content + b"more")
+        elif cause == "removed":
+            image.unlink()
+        elif cause == "memory":
+            raise MemoryError
+        elif cause == "thread":
+            raise RuntimeError("can't start new thread")
+        return really(*given, **named)
+
+    monkeypatch.setattr(figures, "drawn_png", undrawn)
+    run.mkdir(parents=True)
+    if cause == "locked":
+        lock.__enter__()
+    elif cause == "newer":
+        (run / "report.json").write_text('{"format": 99}')
+        (run / "reconstruction.json").touch()
+        (run / "options.toml").touch()
+    elif cause == "foreign":
+        (run / "letter.doc").touch()
+    else:
+        monkeypatch.setattr(folder_run, "reconstruct", disturbed)
+    assert batch(specimens, output).exit_code == 1
+    reason = rows(output)["first"]["reason"]
+    expected = {"locked": "another process works on", "newer": "by a newer semscape", "foreign": "'letter.doc'"}
+    expected |= {"changed": "changed while", "removed": "vanished while"}
+    assert expected.get(cause, "out of memory in stage load") in reason
+
+    monkeypatch.setattr(folder_run, "reconstruct", really)
+    image.write_bytes(content)
+    if cause == "locked":
+        lock.__exit__()
+    elif run.exists():
+        shutil.rmtree(run)
+    ran.clear()
+    assert batch(specimens, output).exit_code == 0
+    assert ran == ["first"]
+
+
+def test_a_file_that_is_still_being_copied_is_no_answer(specimens: Path, tmp_path: Path, ran, monkeypatch) -> None:
+    """It is damaged when it is read, and as it was when the digest was taken when the batch is started again."""
+    shutil.rmtree(specimens / "second")
+    shutil.rmtree(specimens / "third")
+    image = sorted((specimens / "first").glob("*.tif"))[0]
+    content = image.read_bytes()
+    really = folder_run.load_series
+
+    def while_it_is_copied(*given: Any) -> Any:
+        image.write_bytes(content[: len(content) // 2])
+        return really(*given)
+
+    monkeypatch.setattr(folder_run, "load_series", while_it_is_copied)
+    monkeypatch.setattr(figures, "drawn_png", undrawn)
+    assert batch(specimens, tmp_path / "out").exit_code == 1
+    assert "truncated" in rows(tmp_path / "out")["first"]["reason"]
+    image.write_bytes(content)
+    monkeypatch.setattr(folder_run, "load_series", really)
+    ran.clear()
+    assert batch(specimens, tmp_path / "out").exit_code == 0
+    assert ran == ["first"]
+
+
+def test_spread_over_workers_the_bytes_are_told(specimens: Path, tmp_path: Path, undisturbed) -> None:
+    shutil.rmtree(specimens / "second")
+    shutil.rmtree(specimens / "third")
+    (tmp_path / "options.toml").write_text(QUICK.to_toml())
+    given = ["batch", str(specimens), "-o", str(tmp_path / "out"), "--workers", "2", "--spread"]
+    done = CliRunner().invoke(app, [*given, "--options", str(tmp_path / "options.toml")])
+    assert done.exit_code == 0, done.output
+    n_bytes = int(rows(tmp_path / "out")["first"]["bytes_sent"])
+    assert n_bytes > 3 * 128 * 128 * 4  # the views travel, and what is found in them
+    assert f"{n_bytes / 1e3:.1f} kB sent per specimen" in done.output
+    assert products(tmp_path / "out" / "first") == undisturbed
 
 
 @pytest.mark.parametrize(

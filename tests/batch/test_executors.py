@@ -12,20 +12,21 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
-from worker_tasks import crash, die, die_once, fill, nothing, square, thread_limits
+from worker_tasks import add, complain, crash, die, die_once, fill, nothing, square, thread_limits
 
 from run_products import QUICK, products
 from semscape.batch.command import run_command
 from semscape.batch.manifest import find_specimens
 from semscape.batch.record import Ending
 from semscape.batch.run import run_batch
-from semscape.cluster import Placement, Serial, WorkerLostError, local_mapper, open_executor
+from semscape.cluster import Counted, Placement, Serial, WorkerLostError, local_mapper, open_executor
 from semscape.cluster.on_slurm import slurm_request
 from semscape.cluster.processes import LocalProcesses, worker_environment
-from semscape.errors import BadInputError
+from semscape.errors import BadInputError, OutOfMemoryError
 from semscape.io.run_folder import WORK_NAME
 from semscape.io.series import load_series
 from semscape.pipeline import reconstruct
@@ -82,18 +83,60 @@ def test_a_task_that_kills_its_worker_twice_is_given_up_with_its_stage() -> None
         assert list(executor.map(square, [3])) == [9]
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the system does not tell what a process holds")
 def test_memory_of_a_worker_is_limited() -> None:
-    with LocalProcesses(1, threads=1, memory_mb=2000) as executor:
-        (outcome,) = executor.run(fill, [3_000_000_000])
-        assert isinstance(outcome.error, MemoryError)
+    with LocalProcesses(1, threads=1, memory_mb=300) as executor:
+        (outcome,) = executor.run(fill, [400_000_000])
+        assert isinstance(outcome.error, OutOfMemoryError)
+        assert re.search(
+            r"out of memory in stage surface: its process held \d+ MB, and --memory-mb allows 300; give more, "
+            r"or fewer --workers, smaller images",
+            str(outcome.error),
+        )
         assert list(executor.map(fill, [1000])) == [1000]
 
 
-def test_a_crash_within_a_limit_of_memory_is_taken_for_a_lack_of_it() -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the system does not tell what a process holds")
+@pytest.mark.parametrize("workers_mb", [20, 100])
+def test_memory_that_is_too_little_for_the_code_is_told_as_such(specimens: Path, tmp_path: Path, workers_mb) -> None:
+    """Where a limit of the system is set on them, libraries crash, hang or blame something else while they load."""
+    output = tmp_path / "out"
+    with open_executor(Placement(workers=1, memory_mb=workers_mb)) as executor:
+        endings = run_batch(find_specimens(specimens, output), output, QUICK, executor, Silence())
+    for ending in endings:
+        assert ending.record.exit_code == 3
+        assert "out of memory before its first stage: its process held" in ending.record.reason
+        assert f"--memory-mb allows {workers_mb}; give more, or fewer --workers" in ending.record.reason
+    with open_executor(Placement(workers=1)) as executor:  # which is no answer about the data
+        endings = run_batch(find_specimens(specimens, output)[:1], output, QUICK, executor, Silence())
+    assert [ending.record.state for ending in endings] == ["done"]
+
+
+def test_a_crash_is_told_with_its_signal() -> None:
     with LocalProcesses(1, threads=1, memory_mb=4000) as executor:
         (outcome,) = executor.run(crash, [0])
     assert "by signal SIGABRT before its first stage, 2 times" in str(outcome.error)
-    assert "lack of memory: more than --memory-mb 4000" in str(outcome.error)
+
+
+def test_what_a_worker_prints_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    with LocalProcesses(1, threads=1) as executor:
+        list(executor.run(complain, [0]))
+        until = time.monotonic() + 20
+        while not caplog.messages and time.monotonic() < until:
+            time.sleep(0.01)
+    assert caplog.messages == ["worker: a library's complaint"]
+
+
+def test_bytes_are_counted_with_the_function_that_each_process_gets_once() -> None:
+    large = partial(add, bytes(100_000))
+    with LocalProcesses(1, threads=1) as executor:
+        first, second = executor.run(large, [b"x" * 5_000, b"x" * 7_000])
+        assert 110_000 < first.n_bytes < 111_000  # 100,000 + 5,000 there, 5,000 back
+        assert 14_000 < second.n_bytes < 15_000
+        counted = Counted(executor)
+        assert list(counted.map(large, [b"1", b"2"])) == [b"1", b"2"]
+    assert 0 < counted.n_bytes < 1000  # the process has the function already
+    assert [one.n_bytes > 100_000 for one in Serial().run(large, [b"1", b"2"])] == [True, False]
 
 
 def test_workers_end_with_their_master() -> None:
@@ -200,10 +243,17 @@ def test_dask_with_a_worker_killed_in_mid_run(cluster: Cluster, master_images, t
     with open_executor(Placement(scheduler=cluster.address)) as executor:
         assert executor.workers == 2
         assert list(executor.map(square, range(5))) == [0, 1, 4, 9, 16]
+        large = list(executor.run(partial(add, bytes(200_000)), [b"1", b"2"]))  # the function goes to each worker once
+        assert sorted(outcome.value for outcome in large) == [b"1", b"2"]
+        assert 400_000 < sum(outcome.n_bytes for outcome in large) < 402_000
         endings = run_batch(specimens, output, QUICK, executor, Killer())
+        expected = {(f"s{i}", stage) for i in range(4) for stage in ("", "match", "report")}
+        until = time.monotonic() + 30
+        while not expected <= stages and time.monotonic() < until:
+            time.sleep(0.05)  # Dask sends events beside the results, and later on a machine that is busy
     assert [ending.record.name for ending in endings] == [f"s{i}" for i in range(4)]
     assert sorted(told) == [f"s{i}" for i in range(4)]
-    assert {(f"s{i}", stage) for i in range(4) for stage in ("", "match", "report")} <= stages
+    assert expected <= stages
     for ending in endings:
         assert ending.record.state == "done", ending.record.reason
         assert products(output / ending.record.name) == undisturbed
@@ -262,6 +312,9 @@ def test_a_batch_that_is_terminated_goes_on_where_it_was(master_images: Path, tm
         threads = Path(f"/proc/{process.pid}/task").iterdir()
         workers = [int(child) for thread in threads for child in (thread / "children").read_text().split()]
         process.send_signal(signal.SIGTERM)
+        for number in (signal.SIGTERM, signal.SIGINT) * 20:  # by somebody in a hurry, and by SLURM
+            time.sleep(0.005)
+            process.send_signal(number)
         assert process.stderr is not None
         told = process.stderr.read()
     assert process.returncode == 143, told

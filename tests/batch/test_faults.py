@@ -14,12 +14,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from run_products import PRODUCTS, QUICK, products, undrawn
-from semscape.batch.folder_run import OutOfMemoryError, reconstruct_folder
+from semscape import pipeline
+from semscape.batch.folder_run import reconstruct_folder
 from semscape.cluster.processes import worker_environment
-from semscape.errors import BadInputError
+from semscape.errors import BadInputError, OutOfMemoryError
 from semscape.io.finished_run import read_finished_run
 from semscape.io.lock import FolderLock
 from semscape.io.run_folder import RUN_FILES, WORK_NAME
@@ -55,6 +57,7 @@ def assert_complete(output: Path, expected: dict[str, bytes]) -> None:
 
 
 def test_killed_at_every_stage_and_at_random_moments_then_resumed(images: Path, tmp_path: Path, undisturbed) -> None:
+    """After each kill the bytes are compared there; those of another process, which was never killed, here."""
     output = tmp_path / "run"
     script = Path(__file__).with_name("killed_runs.py")
     environment = worker_environment(threads=1) | {"NUMBA_THREADING_LAYER": "workqueue"}
@@ -78,6 +81,36 @@ def test_a_resumed_run_computes_no_finished_stage_again(images: Path, tmp_path: 
     assert_complete(output, undisturbed)
     told = (output / "run.log").read_text(encoding="utf-8")
     assert told.count("taken from the interrupted run") == 3
+
+
+def test_a_resumed_run_reports_what_its_stages_took_when_they_were_made(
+    images: Path, tmp_path: Path, monkeypatch
+) -> None:
+    really = pipeline._match_all
+
+    def slowly(*given: Any) -> Any:
+        time.sleep(1.0)
+        held = np.ones(200_000_000, np.uint8)
+        time.sleep(0.1)
+        del held
+        return really(*given)
+
+    monkeypatch.setattr(pipeline, "_match_all", slowly)
+    output = tmp_path / "run"
+    interrupted_before(images, output, "surface")
+    found = reconstruct_folder(images, output, QUICK, workers=1)
+    report = json.loads((output / "report.json").read_text(encoding="utf-8"))
+    stages = {stage["name"]: stage for stage in report["stages"]}
+    assert [name for name, stage in stages.items() if stage["earlier"]] == ["detect", "match", "calibrate"]
+    assert stages["match"]["seconds"] > 1.0
+    assert stages["match"]["peak_memory_mb"] > stages["detect"]["peak_memory_mb"] + 150
+    assert report["peak_memory_mb"] == max(stage["peak_memory_mb"] for stage in report["stages"])
+    page = (output / "report.html").read_text(encoding="utf-8")
+    assert '<th scope="row">match*</th>' in page
+    assert "* done before this run was interrupted" in page
+    assert sum(stage.seconds for stage in found.report.stages) > 1.0
+    lines = [json.loads(line) for line in (output / "run.log").read_text(encoding="utf-8").splitlines()]
+    assert [line["seconds"] > 1.0 for line in lines if line.get("stage") == "match" and "seconds" in line] == [True]
 
 
 def test_stages_of_other_options_are_not_taken(images: Path, tmp_path: Path, undisturbed) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -20,6 +21,10 @@ def square(x: int) -> int:
 
 def nothing(_: int) -> None:
     return None
+
+
+def add(_: bytes, item: bytes) -> bytes:
+    return item
 
 
 def thread_limits(_: int) -> list[str | None]:
@@ -50,4 +55,13 @@ def sleep(seconds: float) -> int:
 
 
 def fill(n_bytes: int) -> int:
-    return len(np.ones(n_bytes, np.uint8))
+    """Hold so many bytes for a while: memory is watched from outside, some times a second."""
+    tell("surface")
+    held = np.ones(n_bytes, np.uint8)
+    if n_bytes > 1_000_000:
+        time.sleep(1.0)
+    return len(held)
+
+
+def complain(_: int) -> None:
+    print("a library's complaint", file=sys.stderr)  # noqa: T201

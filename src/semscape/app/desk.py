@@ -87,7 +87,7 @@ class ReconstructionJob:
 
 def _asked(worker: Worker, name: str, *arguments: Any) -> Any:
     request = pack((name, arguments))
-    return outcome(0, request, worker.ask(_CALL, request)).result()
+    return outcome(0, len(request), worker.ask(_CALL, request)).result()
 
 
 def _call(request: tuple[str, tuple[Any, ...]]) -> Any:

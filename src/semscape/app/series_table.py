@@ -14,7 +14,7 @@ from semscape.app.plain_words import plain_words
 from semscape.app.run_queue import RunQueue
 from semscape.app.told import Cell, Change, History, check_cell, read_told, write_told
 from semscape.app.workspace import Run, UnknownRunError, Workspace
-from semscape.batch.folder_run import file_states
+from semscape.batch.input_files import file_states
 from semscape.errors import BadInputError, SemscapeError
 
 

@@ -3,43 +3,34 @@
 from __future__ import annotations
 
 import logging
-import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from semscape.batch.input_files import FileStates, file_states, require_unchanged
+from semscape.batch.memory_lack import lack_of_memory_told
 from semscape.cluster import Mapper
-from semscape.errors import BadInputError, SemscapeError
+from semscape.errors import SemscapeError, StorageError
 from semscape.io.lock import FolderLock
 from semscape.io.run_folder import make_folder, prepare_run_folder
 from semscape.io.series import load_series
 from semscape.io.work_folder import LOG_NAME, WorkFolder, run_key
 from semscape.log_lines import JsonLines
 from semscape.options import Options
-from semscape.types import Result, TiltSeries
+from semscape.pipeline import reconstruct
+from semscape.report.memory import PeakMemory
+from semscape.report.run import write_run
+from semscape.types import Result, StageReport, TiltSeries
 
 Progress = Callable[[str, dict[str, Any] | None], None]
-FileStates = Mapping[str, tuple[int, int]]
 
-_READ_SUFFIXES = {".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".txt", ".hdr", ".toml", ".xml"}
 _log = logging.getLogger("semscape.run")
-
-
-class OutOfMemoryError(SemscapeError):
-    """A stage asked for more memory than there is; the message names it and what to reduce."""
-
-
-_REDUCE = {
-    "load": "fewer or smaller images",
-    "detect": "--set features.max_keypoints=10000, or smaller images",
-    "match": "--set features.max_keypoints=10000",
-    "calibrate": "--set features.max_keypoints=10000",
-    "surface": "--set dense.tile_px=512, or smaller images",
-    "mesh": "--set dense.mesh_max_vertices=100000",
-    "report": "--set dense.mesh_max_vertices=100000",
-}
 
 
 def reconstruct_folder(
@@ -64,7 +55,7 @@ def reconstruct_folder(
     options : Options
         Of every stage.
     workers, mapper, progress
-        As in `semscape.reconstruct`; `progress` is told of "load" and "report" as well.
+        As in `semscape.reconstruct`; `progress` is told of "report" as well.
     on_series : callable, optional
         Called with the series once it is read.
 
@@ -86,7 +77,7 @@ def reconstruct_folder(
         if progress:
             progress(name, figures)
 
-    try:
+    with lack_of_memory_told(lambda: stage):
         states = file_states(folder)
         series = load_series(folder, options.input)
         if on_series:
@@ -94,13 +85,6 @@ def reconstruct_folder(
         with FolderLock(make_folder(output)):
             prepare_run_folder(output)
             return _reconstruct_locked(folder, states, series, output, options, workers, mapper, follow)
-    except Exception as error:
-        if not _is_out_of_memory(error):
-            raise
-        less = _REDUCE.get(stage, "smaller images")
-        raise OutOfMemoryError(
-            f"out of memory in stage {stage}; fewer --workers, more --memory-mb, or {less}"
-        ) from error
 
 
 def _reconstruct_locked(
@@ -113,10 +97,7 @@ def _reconstruct_locked(
     mapper: Mapper | None,
     follow: Progress,
 ) -> Result:
-    from semscape.pipeline import reconstruct
-    from semscape.report.run import write_run
-
-    work = WorkFolder(output, run_key(series, options))
+    work = _MeasuredWork(output, run_key(series, options))
     with _log_file(work.log_path):
         try:
             for warning in series.warnings:
@@ -128,60 +109,25 @@ def _reconstruct_locked(
                 workers=workers,
                 mapper=mapper,
                 progress=follow,
-                keep=work.keep,
+                keep=work.keep_measured,
             )
+            result = work.with_earlier_costs(result)
             for name, stage in ((stage.name, stage) for stage in result.report.stages):
                 figures = {"seconds": round(stage.seconds, 4), "peak_memory_mb": round(stage.peak_memory_mb, 1)}
                 _log.info("stage %s took %.2f s", name, stage.seconds, extra={"stage": name, **figures})
             follow("report", None)
-            _require_unchanged(folder, states)
+            require_unchanged(folder, states)
             write_run(result, output)
             follow("report", {})
             _log.info("verdict: %s", result.report.verdict)
         except SemscapeError as error:
-            if not isinstance(error.__cause__, OSError):  # a full disk is worth another try, these data are not
+            if not isinstance(error.__cause__, OSError):  # a full disk is worth going on, these data are not
                 work.remove()
             raise
     if work.log_path.exists():
         shutil.copyfile(work.log_path, output / LOG_NAME)
     work.remove()
     return result
-
-
-def file_states(folder: Path) -> FileStates:
-    """Return size and time of change (ns) of every file in a folder that a series may be read from.
-
-    Raises
-    ------
-    BadInputError
-        If the folder cannot be read.
-    """
-    try:
-        with os.scandir(folder) as entries:
-            return {
-                entry.name: (entry.stat().st_size, entry.stat().st_mtime_ns)
-                for entry in entries
-                if Path(entry.name).suffix.lower() in _READ_SUFFIXES
-                and not entry.name.startswith(".")
-                and entry.is_file()
-            }
-    except FileNotFoundError as error:
-        raise BadInputError(f"{folder}: there is no such folder; give the folder that holds the images") from error
-    except NotADirectoryError as error:
-        raise BadInputError(f"{folder}: this is a file; give the folder that holds the images of the series") from error
-    except (OSError, ValueError) as error:
-        raise BadInputError(f"{folder}: cannot be read ({error})") from error
-
-
-def _require_unchanged(folder: Path, states: FileStates) -> None:
-    now = file_states(folder)
-    changed = sorted(name for name in states.keys() | now.keys() if states.get(name) != now.get(name))
-    if changed:
-        how = "vanished" if changed[0] not in now else "appeared" if changed[0] not in states else "changed"
-        raise BadInputError(
-            f"{folder / changed[0]}: {how} while the series was being reconstructed; nothing is written, for "
-            "the result would not be that of the files: run again when they are complete"
-        )
 
 
 class _LogFile(logging.FileHandler):
@@ -196,7 +142,7 @@ def _log_file(path: Path) -> Iterator[None]:
     try:
         handler = _LogFile(path, encoding="utf-8")
     except OSError as error:
-        raise BadInputError(f"the output folder {path.parent.parent} cannot be written: {error.strerror}") from error
+        raise StorageError(f"the output folder {path.parent.parent} cannot be written: {error.strerror}") from error
     handler.setFormatter(JsonLines())
     handler.setLevel(logging.INFO)
     before = logger.level
@@ -210,6 +156,38 @@ def _log_file(path: Path) -> Iterator[None]:
         handler.close()
 
 
-def _is_out_of_memory(error: BaseException) -> bool:
-    # OpenCV has an error class of its own, named "error".
-    return isinstance(error, MemoryError) or (type(error).__name__ == "error" and "nsufficient memory" in str(error))
+class _MeasuredWork(WorkFolder):
+    """A work folder that keeps beside each stage's value what making it took."""
+
+    def __init__(self, run: Path, key: str) -> None:
+        super().__init__(run, key)
+        self._earlier: dict[str, tuple[float, float]] = {}
+
+    def keep_measured(self, stage: str, make: Callable[[], Any]) -> Any:
+        """Return the stage's value, made now or taken from the attempt before."""
+        made_now = False
+
+        def measured() -> tuple[Any, float, float]:
+            nonlocal made_now
+            made_now = True
+            memory, start = PeakMemory(), time.perf_counter()
+            value = make()
+            return value, time.perf_counter() - start, memory.peak_mb()
+
+        value, seconds, peak_mb = self.keep(stage, measured)
+        if not made_now:
+            self._earlier[stage] = seconds, peak_mb
+        return value
+
+    def with_earlier_costs(self, result: Result) -> Result:
+        """Return the result with a report that tells of taken stages what they took when they were made."""
+        stages = tuple(self._with_earlier_cost(stage) for stage in result.report.stages)
+        known = [peak for peak in (stage.peak_memory_mb for stage in stages) if np.isfinite(peak)]
+        peak_mb = max(known, default=result.report.peak_memory_mb)
+        return replace(result, report=replace(result.report, stages=stages, peak_memory_mb=peak_mb))
+
+    def _with_earlier_cost(self, stage: StageReport) -> StageReport:
+        if stage.name not in self._earlier:
+            return stage
+        seconds, peak_mb = self._earlier[stage.name]
+        return replace(stage, seconds=seconds, peak_memory_mb=peak_mb, earlier=True)

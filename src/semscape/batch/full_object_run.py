@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from semscape.batch.folder_run import Progress
+from semscape.batch.input_files import file_states, require_unchanged
+from semscape.batch.memory_lack import lack_of_memory_told
 from semscape.dense.full_object import FullObject
 from semscape.io.lock import FolderLock
 from semscape.io.run_folder import make_folder, prepare_run_folder
 from semscape.io.series import load_series
+from semscape.io.work_folder import WorkFolder
 from semscape.options import Options
+from semscape.pipeline import reconstruct_full_object
+from semscape.report.full_object import write_full_object
 
 
 def reconstruct_object_folder(
@@ -20,14 +26,28 @@ def reconstruct_object_folder(
     Raises
     ------
     SemscapeError
-        If an input cannot be used, if the images give no answer, or if the run folder cannot be written.
+        If an input cannot be used, or changes meanwhile, if the images give no answer, if the run folder is in use or
+        cannot be written, or if the memory does not suffice.
     """
-    from semscape.pipeline import reconstruct_full_object
-    from semscape.report.full_object import write_full_object
+    stage = "load"
 
-    series = load_series(folder, options.input)
-    with FolderLock(make_folder(output)):
-        prepare_run_folder(output)
-        found, stages, failures = reconstruct_full_object(series, options, workers=workers, progress=progress)
-        write_full_object(found, options, stages, failures, output)
+    def follow(name: str, figures: dict[str, Any] | None) -> None:
+        nonlocal stage
+        if figures is None:
+            stage = name
+        if progress:
+            progress(name, figures)
+
+    with lack_of_memory_told(lambda: stage):
+        states = file_states(folder)
+        series = load_series(folder, options.input)
+        with FolderLock(make_folder(output)):
+            prepare_run_folder(output)
+            work = WorkFolder(output, "")  # which says, should this be killed, that the folder is a run's
+            found, stages, failures = reconstruct_full_object(series, options, workers=workers, progress=follow)
+            follow("report", None)
+            require_unchanged(folder, states)
+            write_full_object(found, options, stages, failures, output)
+            work.remove()
+            follow("report", {})
     return found

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from semscape.batch.folder_run import FileStates
-from semscape.errors import BadInputError
+from semscape.batch.input_files import FileStates
+from semscape.errors import StorageError
 from semscape.io.run_folder import RUN_FILES, json_text, put_files
 
 RECORD_FORMAT = 1
@@ -53,14 +53,14 @@ def read_record(output: Path, name: str) -> Record | None:
 
     Raises
     ------
-    BadInputError
+    StorageError
         For a record that a newer semscape wrote.
     """
     path = output / RECORDS_NAME / f"{name}.json"
     try:
         values = json.loads(path.read_bytes())
         if values["format"] > RECORD_FORMAT:
-            raise BadInputError(
+            raise StorageError(
                 f"{path} was written by a newer semscape (format {values['format']}; this one knows {RECORD_FORMAT}): "
                 "update semscape, or give another output folder"
             )
@@ -101,7 +101,7 @@ def products_are_whole(run: Path, record: Record, *, read: bool) -> bool:
         return sizes and (
             not read or all(_file_digest(run / name) == digest for name, (_, digest) in record.products.items())
         )
-    except (OSError, BadInputError):
+    except (OSError, StorageError):
         return False
 
 
@@ -110,4 +110,4 @@ def _file_digest(path: Path) -> str:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror or error})") from error
+        raise StorageError(f"{path}: cannot be read ({error.strerror or error})") from error

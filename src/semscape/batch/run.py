@@ -8,11 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from semscape.batch.interruption import signals_held
 from semscape.batch.manifest import Specimen
 from semscape.batch.record import Ending, Record, write_record
 from semscape.batch.specimen import SpecimenTask, run_specimen
 from semscape.batch.summary import write_summary
-from semscape.cluster import Executor, Outcome
+from semscape.cluster import Counted, Executor, Outcome
 from semscape.cluster.notices import listening
 from semscape.errors import BadInputError, verdict_of
 from semscape.flags import with_flags
@@ -100,7 +101,8 @@ def run_batch(
                 endings[outcome.index] = ending
                 audience.ended(ending)
         finally:
-            write_summary(output, [(specimen, endings.get(index)) for index, specimen in enumerate(specimens)])
+            with signals_held():
+                write_summary(output, [(specimen, endings.get(index)) for index, specimen in enumerate(specimens)])
     return [endings[index] for index in range(len(tasks))]
 
 
@@ -156,8 +158,10 @@ def _outcomes(
         return
     for index, task in enumerate(tasks):
         audience.event(task.name, "")
+        spread_out = Counted(executor)
         with listening(partial(audience.event, task.name)):
-            yield Outcome(index, run_specimen(task, executor.map), None, 0)
+            done = run_specimen(task, spread_out.map)
+        yield Outcome(index, done, None, spread_out.n_bytes)
 
 
 def _ending(task: SpecimenTask, outcome: Outcome) -> Ending:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from semscape.batch.folder_run import OutOfMemoryError, file_states, reconstruct_folder
+from semscape.batch.folder_run import reconstruct_folder
+from semscape.batch.input_files import file_states
 from semscape.batch.record import (
     RECORDS_NAME,
     Record,
@@ -20,11 +21,12 @@ from semscape.batch.record import (
     write_record,
 )
 from semscape.cluster import Mapper, tell
-from semscape.errors import verdict_of
+from semscape.errors import BadInputError, PassingError, verdict_of
 from semscape.io.code_version import code_digest
 from semscape.io.lock import FolderLock
 from semscape.io.run_folder import make_folder
 from semscape.options import Options
+from semscape.report.thumbnail import thumbnail_png
 from semscape.types import Result
 
 THUMBNAIL_PX = 160
@@ -78,7 +80,7 @@ def run_specimen(task: SpecimenTask, mapper: Mapper | None = None) -> tuple[How,
             return "ran", record
         seconds = time.perf_counter() - start
         record = _success(task, key, inputs, output / task.name, result, seconds)
-        write_record(output, record, _thumbnail(result))
+        write_record(output, record, thumbnail_png(result.height_map, THUMBNAIL_PX))
         return "ran", record
 
 
@@ -102,6 +104,7 @@ def _success(
     seconds: float,
 ) -> Record:
     report = result.report
+    seconds += sum(stage.seconds for stage in report.stages if stage.earlier)
     figures: dict[str, Any] = {
         "verdict": report.verdict,
         "length_unit": result.reconstruction.length_unit,
@@ -127,12 +130,14 @@ def _failure(
     task: SpecimenTask, key: str, inputs: dict[str, tuple[int, int, str]], error: Exception, seconds: float
 ) -> Record:
     code, message = verdict_of(error)
-    # What the next try may well survive is not remembered as an answer about the data.
-    key = "" if isinstance(error, OutOfMemoryError | OSError) or "cannot be written" in message else key
-    return Record(task.name, "failed", key, inputs, reason=message, exit_code=code, seconds=seconds)
+    # What the next try may well survive is not remembered as an answer about the data: no key fits "".
+    passing = isinstance(error, PassingError | OSError | MemoryError) or _have_changed(Path(task.folder), inputs)
+    return Record(task.name, "failed", "" if passing else key, inputs, reason=message, exit_code=code, seconds=seconds)
 
 
-def _thumbnail(result: Result) -> bytes:
-    from semscape.report.thumbnail import thumbnail_png
-
-    return thumbnail_png(result.height_map, THUMBNAIL_PX)
+def _have_changed(folder: Path, inputs: dict[str, tuple[int, int, str]]) -> bool:
+    """Tell whether files came, went or changed since their digests were taken: a copy that still goes on."""
+    try:
+        return file_states(folder) != {name: state[:2] for name, state in inputs.items()}
+    except BadInputError:
+        return True

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+
+_UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(
     name="semscape",
@@ -44,7 +47,15 @@ LogJsonOption = Annotated[bool, typer.Option("--log-json", help="Log as lines of
 
 def main() -> None:
     """Run the command line."""
-    app()
+    log_json = "--log-json" in sys.argv[1:]
+    try:
+        sys.exit(app(standalone_mode=not log_json))
+    except _UsageError as error:  # not parsed so far, but what is told must be JSON already
+        from semscape.cli.outcome import log_error, start_log
+
+        start_log(debug=False, quiet=False, log_json=True)
+        log_error(error.format_message(), error.exit_code)
+        sys.exit(error.exit_code)
 
 
 def _print_version(wanted: bool) -> None:

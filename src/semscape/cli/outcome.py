@@ -6,6 +6,7 @@ import logging
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 _INTERRUPTED, _TERMINATED = 130, 143
+_log = logging.getLogger("semscape")
 
 
 def console(*, err: bool = False) -> Console:
@@ -36,29 +38,42 @@ class Terminated(KeyboardInterrupt):
 @contextmanager
 def exit_codes(*, debug: bool, quiet: bool, log_json: bool = False) -> Iterator[None]:
     """Turn what goes wrong into one message on stderr and an exit code; with `debug` let the traceback through."""
-    _start_log(debug=debug, quiet=quiet, log_json=log_json)
-    before = _on_termination()
+    start_log(debug=debug, quiet=quiet, log_json=log_json)
+    before = _on_first_signal()
     try:
         yield
     except typer.Exit:
         raise
     except KeyboardInterrupt as stop:
-        typer.echo("interrupted; what is finished is kept: run the same command again to go on", err=True)
-        raise typer.Exit(_TERMINATED if isinstance(stop, Terminated) else _INTERRUPTED) from None
+        code = _TERMINATED if isinstance(stop, Terminated) else _INTERRUPTED
+        told = "interrupted; what is finished is kept: run the same command again to go on"
+        if log_json:
+            log_error(told, code)
+        else:
+            typer.echo(told, err=True)
+        raise typer.Exit(code) from None
     except Exception as error:  # noqa: BLE001 (the last resort: a message and an exit code for whatever it is)
-        if debug:
-            import traceback
-
-            traceback.print_exc()
         code, message = verdict_of(error)
-        typer.echo(f"semscape: error: {message}", err=True)
+        if log_json:
+            log_error(message, code, error if debug else None)
+        else:
+            if debug:
+                traceback.print_exc()
+            typer.echo(f"semscape: error: {message}", err=True)
         raise typer.Exit(code) from None
     finally:
-        if before is not None:
-            signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            if signal.getsignal(number) is not signal.SIG_IGN:  # else one has come, and this process is about to end
+                signal.signal(number, handler)
 
 
-def _start_log(*, debug: bool, quiet: bool, log_json: bool) -> None:
+def log_error(message: str, code: int, error: Exception | None = None) -> None:
+    """Log what ends the command, with its exit code and perhaps a traceback: the last line of JSON."""
+    _log.error("%s", message, exc_info=error, extra={"exit_code": code})
+
+
+def start_log(*, debug: bool, quiet: bool, log_json: bool) -> None:
+    """Send the log to stderr: what goes wrong, with `debug` or `log_json` more; `log_json` makes every line JSON."""
     level = logging.DEBUG if debug else logging.INFO if log_json else logging.ERROR if quiet else logging.WARNING
     handler = logging.StreamHandler()
     handler.setLevel(level)  # its own, for the log that a run keeps lets more through than is shown
@@ -68,16 +83,29 @@ def _start_log(*, debug: bool, quiet: bool, log_json: bool) -> None:
 
         handler.setFormatter(JsonLines())
     logging.basicConfig(level=level, handlers=[handler], force=log_json)
+    logging.captureWarnings(log_json)
     for talkative in ("matplotlib", "PIL", "numba", "trimesh", "tifffile"):
         logging.getLogger(talkative).setLevel(logging.ERROR)
 
 
-def _on_termination() -> Any:
-    """Make SIGTERM end the process as Ctrl-C does; return what was there before, None outside the main thread."""
+def _on_first_signal() -> dict[signal.Signals, Any]:
+    """Make SIGTERM end the process as Ctrl-C does, and let a second signal not disturb how it ends.
+
+    Returns
+    -------
+    dict
+        What was there before; empty outside the main thread.
+    """
     if threading.current_thread() is not threading.main_thread():
-        return None
+        return {}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    held = {number: handler for number, handler in before.items() if handler not in (None, signal.SIG_IGN)}
 
-    def stop(*_: object) -> None:
-        raise Terminated
+    def stop(number: int, _: object) -> None:
+        for each in held:
+            signal.signal(each, signal.SIG_IGN)
+        raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
-    return signal.signal(signal.SIGTERM, stop)
+    for number in held:
+        signal.signal(number, stop)
+    return held

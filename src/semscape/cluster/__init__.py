@@ -6,11 +6,12 @@ package pickles itself, so that every executor sends the same, and the number of
 """
 
 from semscape.cluster.choice import Placement, open_executor
-from semscape.cluster.executor import Executor, Outcome, Serial, WorkerLostError
+from semscape.cluster.executor import Counted, Executor, Outcome, Serial, WorkerLostError
 from semscape.cluster.notices import tell
 from semscape.cluster.threads import Mapper, local_mapper
 
 __all__ = [
+    "Counted",
     "Executor",
     "Mapper",
     "Outcome",

@@ -18,7 +18,7 @@ class Placement:
     """Where tasks run: local processes, or on a Dask `scheduler`, or on workers that `slurm` starts.
 
     `workers` is the number of local processes (0: in this process, None: one per core), `threads` the threads of
-    each task (None: its share of the cores), `memory_mb` the most memory that a task may map (0: no limit). What
+    each task (None: its share of the cores), `memory_mb` the most memory that a task may hold (0: no limit). What
     SLURM's jobs print goes to the folder `logs`.
     """
 

@@ -9,19 +9,22 @@ from functools import partial
 from typing import Any, Protocol
 
 from semscape.cluster.notices import listening
-from semscape.errors import SemscapeError
+from semscape.errors import PassingError
 
 Event = Callable[[int, str], None]
 """Called with a task's index and what it says: the name of its stage, "" when it starts."""
 
 
-class WorkerLostError(SemscapeError):
+class WorkerLostError(PassingError):
     """The process that worked on a task has ended, again and again, before the task did."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of task `index`: a value or the error that it raised, and the bytes sent there and back."""
+    """What became of task `index`: a value or the error that it raised, and the bytes sent there and back.
+
+    The bytes of the function count with the first task for which a process gets it.
+    """
 
     index: int
     value: Any
@@ -73,11 +76,27 @@ class Serial:
                 on_event(index, "")
             with listening(partial(on_event, index) if on_event else None):
                 reply = answer(shared, request)
-            yield outcome(index, request, reply)
+            yield outcome(index, len(request) + (0 if index else len(shared)), reply)
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
         """Yield the values in the order of the items."""
         return in_order(self.run(function, items))
+
+
+class Counted:
+    """The `map` of an executor, which counts the bytes that it sends: `n_bytes` so far."""
+
+    def __init__(self, executor: Executor) -> None:
+        self.n_bytes = 0
+        self._executor = executor
+
+    def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+        """Yield the values in the order of the items."""
+        return in_order(map(self._noted, self._executor.run(function, items)))
+
+    def _noted(self, one: Outcome) -> Outcome:
+        self.n_bytes += one.n_bytes
+        return one
 
 
 def pack(value: Any) -> bytes:
@@ -102,10 +121,10 @@ def answer(shared: bytes, request: bytes) -> bytes:
         return packed
 
 
-def outcome(index: int, request: bytes, reply: bytes) -> Outcome:
-    """Return the outcome that a reply stands for."""
+def outcome(index: int, n_sent: int, reply: bytes) -> Outcome:
+    """Return the outcome that a reply stands for, to a task for which so many bytes were sent."""
     value, error = pickle.loads(reply)
-    return Outcome(index, value, error, len(request) + len(reply))
+    return Outcome(index, value, error, n_sent + len(reply))
 
 
 def in_order(outcomes: Iterable[Outcome]) -> Iterator[Any]:

@@ -30,7 +30,7 @@ class OnDask:
     threads : int
         Threads of each task.
     memory_mb : int
-        Most memory that each task may map, in MB; 0 is no limit.
+        Most memory that each task may hold, in MB; 0 is no limit.
     """
 
     def __init__(self, client: Any, threads: int, memory_mb: int = 0) -> None:
@@ -46,7 +46,9 @@ class OnDask:
         from distributed import KilledWorker, as_completed
 
         shared: Any = pack(function)
-        if len(shared) > _LARGE_BYTES:  # goes to every worker once, not along with every task
+        n_once, n_each = 0, len(shared)
+        if n_each > _LARGE_BYTES:  # goes to every worker once, not along with every task
+            n_once, n_each = n_each * len(self._client.nthreads()), 0
             shared = self._client.scatter(shared, broadcast=True)
         requests = [pack(item) for item in items]
         topic = ""
@@ -67,7 +69,9 @@ class OnDask:
         for future in as_completed(futures, loop=self._client.loop):  # type: ignore[no-untyped-call]
             index = index_of[future.key]
             try:
-                yield outcome(index, requests[index], future.result())
+                reply = future.result()
+                yield outcome(index, n_once + n_each + len(requests[index]), reply)
+                n_once = 0
             except KilledWorker as error:
                 lost = WorkerLostError(
                     f"{error.allowed_failures + 1} Dask workers died one after the other while they worked on it; "

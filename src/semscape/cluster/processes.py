@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import queue
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
@@ -15,6 +17,8 @@ from typing import Any, BinaryIO, cast
 
 from semscape.cluster.executor import Event, Outcome, WorkerLostError, in_order, outcome, pack
 from semscape.cluster.worker import ANSWER, FUNCTION, NOTICE, TASK, read_frame, write_frame
+from semscape.errors import OutOfMemoryError
+from semscape.io.process_status import status_mb
 
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -26,6 +30,9 @@ _THREAD_VARIABLES = (
 _PROGRAM = "from semscape.cluster.worker import main; main()"
 _MOST_ATTEMPTS = 2
 _KILLED = 9  # SIGKILL, a name that Windows does not know
+_WATCH_S = 0.05
+_log = logging.getLogger("semscape.cluster")
+_REDUCE = "fewer --workers, smaller images, or --set dense.tile_px=512 and --set features.max_keypoints=10000"
 
 
 class Worker:
@@ -36,11 +43,15 @@ class Worker:
     threads : int
         Most threads of NumPy, Numba and OpenCV in it.
     memory_mb : int
-        Most memory that it may map, in MB; 0 is no limit.
+        Most memory that it may hold, in MB (Linux only); 0 is no limit. It is watched from outside, and ended where it
+        holds more: libraries that are refused memory crash, hang, or blame something else.
     """
 
     def __init__(self, threads: int, memory_mb: int = 0) -> None:
         self._threads, self._memory_mb = threads, memory_mb
+        self.n_sent = 0
+        """Bytes of functions and tasks that the process was sent so far."""
+        self._held_mb = 0.0
         self._process: subprocess.Popen[bytes] | None = None
         self._function = b""
         self._stage = ""
@@ -51,11 +62,14 @@ class Worker:
 
         Raises
         ------
+        OutOfMemoryError
+            If it needs more memory than it may have; the message holds the stage and what to reduce.
         WorkerLostError
-            If the process died each time; the message holds the stage and what to reduce.
+            If the process died each time; the message holds the stage.
         """
         status = 0
         for _ in range(_MOST_ATTEMPTS):
+            self._held_mb = 0.0
             reply = self._try(shared, request, on_notice)
             if reply is not None:
                 return reply
@@ -63,17 +77,14 @@ class Worker:
             if self._closed:
                 break
         stage = f" in stage {self._stage}" if self._stage else " before its first stage"
+        if self._held_mb:
+            raise OutOfMemoryError(
+                f"out of memory{stage}: its process held {self._held_mb:.0f} MB, and --memory-mb allows "
+                f"{self._memory_mb}; give more, or {_REDUCE}"
+            )
         how = f"by signal {signal.Signals(-status).name}" if status < 0 else f"with exit code {status}"
-        # Compiled code seldom says that it gets no memory: within a limit it crashes.
-        is_memory = status == -_KILLED or (self._memory_mb and status)
-        limit = f"more than --memory-mb {self._memory_mb}, " if self._memory_mb else ""
-        advice = (
-            f"; this is most often a lack of memory: {limit}fewer --workers, smaller images, "
-            "or --set dense.tile_px=512 and --set features.max_keypoints=10000"
-        )
-        raise WorkerLostError(
-            f"the worker process was ended {how}{stage}, {_MOST_ATTEMPTS} times{advice if is_memory else ''}"
-        )
+        advice = f"; this is most often a lack of memory: {_REDUCE}" if status == -_KILLED else ""
+        raise WorkerLostError(f"the worker process was ended {how}{stage}, {_MOST_ATTEMPTS} times{advice}")
 
     def stop(self) -> int:
         """End the process at once and return its exit status."""
@@ -104,7 +115,9 @@ class Worker:
             if shared != self._function:
                 write_frame(stdin, FUNCTION, shared)
                 self._function = shared
+                self.n_sent += len(shared)
             write_frame(stdin, TASK, request)
+            self.n_sent += len(request)
             while (frame := read_frame(stdout)) is not None:
                 kind, content = frame
                 if kind == ANSWER:
@@ -122,13 +135,32 @@ class Worker:
             raise OSError("the worker is closed")
         if self._process is None:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _PROGRAM, "--memory-mb", str(self._memory_mb)],
+                [sys.executable, "-c", _PROGRAM],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 env=worker_environment(self._threads),
                 start_new_session=True,  # Ctrl-C reaches the master alone
             )
+            threading.Thread(target=_relay, args=(self._process.stderr,), daemon=True).start()
+            if self._memory_mb:
+                threading.Thread(target=self._watch, args=(self._process,), daemon=True).start()
         return self._process
+
+    def _watch(self, process: subprocess.Popen[bytes]) -> None:
+        while process.poll() is None:
+            held_mb = status_mb("VmRSS", process.pid)
+            if held_mb > self._memory_mb:
+                self._held_mb = held_mb
+                process.kill()
+            time.sleep(_WATCH_S)
+
+
+def _relay(lines: BinaryIO) -> None:
+    """Log what a process prints, a library's complaint or its last word: --log-json promises lines of JSON."""
+    with lines:
+        for line in lines:
+            _log.warning("worker: %s", line.decode(errors="replace").rstrip())
 
 
 def worker_environment(threads: int) -> dict[str, str]:
@@ -147,7 +179,7 @@ class LocalProcesses:
     threads : int
         Threads of each.
     memory_mb : int
-        Most memory that each may map, in MB; 0 is no limit.
+        Most memory that each may hold, in MB; 0 is no limit.
     """
 
     def __init__(self, workers: int, threads: int, memory_mb: int = 0) -> None:
@@ -184,8 +216,9 @@ class LocalProcesses:
                 if on_event:
                     on_event(index, "")
                 try:
+                    before = worker.n_sent
                     reply = worker.ask(shared, request, partial(on_event, index) if on_event else None)
-                    done.put(outcome(index, request, reply))
+                    done.put(outcome(index, worker.n_sent - before, reply))
                 except Exception as error:  # noqa: BLE001 (whatever happens to one task, the others go on)
                     done.put(Outcome(index, None, error, len(request)))
 

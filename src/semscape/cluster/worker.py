@@ -6,7 +6,6 @@ master would wait for.
 
 from __future__ import annotations
 
-import argparse
 import logging
 import os
 import queue
@@ -40,25 +39,12 @@ def read_frame(stream: BinaryIO) -> tuple[bytes, bytes] | None:
     return (kind, content) if len(content) == length else None
 
 
-def limit_memory(limit_mb: int) -> None:
-    """Let this process map no more than so many MB; what is beyond raises `MemoryError` (POSIX only)."""
-    if sys.platform != "win32":
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (limit_mb * 1_000_000, limit_mb * 1_000_000))
-
-
 def main() -> None:
     """Serve until the input closes."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--memory-mb", type=int, default=0)
-    arguments = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the master's business, which then closes the input
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers
     logging.getLogger().addHandler(logging.NullHandler())
-    if arguments.memory_mb:
-        limit_memory(arguments.memory_mb)
     requests: queue.SimpleQueue[tuple[bytes, bytes]] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(sys.stdin.buffer, requests), daemon=True).start()
     shared = b""
@@ -73,6 +59,8 @@ def main() -> None:
 
 
 def _receive(stream: BinaryIO, requests: queue.SimpleQueue[tuple[bytes, bytes]]) -> None:
-    while (frame := read_frame(stream)) is not None:
-        requests.put(frame)
-    os._exit(0)
+    try:
+        while (frame := read_frame(stream)) is not None:
+            requests.put(frame)
+    finally:  # also where a task is too large to be read: without this thread the process would wait for ever
+        os._exit(0)

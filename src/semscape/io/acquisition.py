@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from semscape.errors import BadInputError
+from semscape.io.quantities import PIXEL_SIZES, is_pixel_size
 from semscape.io.series_toml import SIDECAR_NAME, read_series_toml
 from semscape.options import InputOptions
 from semscape.types import FieldSource
@@ -16,6 +17,7 @@ from semscape.types import FieldSource
 MAX_TILT_DEG = 85.0
 
 _DUPLICATE_TILT_DEG = 0.05
+_LONGEST_BAR_UM = 1e6
 
 
 @dataclass(frozen=True)
@@ -56,10 +58,15 @@ def read_given_acquisition(folder: Path, options: InputOptions, names: Sequence[
         tilts = sidecar.image_tilts_deg
         _check_tilts(tilts, rotations, names, f"tilt_deg of the images in {path}", some_are_open=True)
     _check_length(options.pixel_size_um, "the pixel size given")
+    if not (math.isnan(options.pixel_size_um) or is_pixel_size(options.pixel_size_um)):
+        raise BadInputError(f"the pixel size given is {options.pixel_size_um:g} um; it must be a number {PIXEL_SIZES}")
     _check_axis(options.axis_deg, "the axis given")
     _check_axis(sidecar.axis_deg, f"{path}: axis_deg")
     _check_length(options.scale_bar_um, "the scale bar's length given")
     _check_length(sidecar.scale_bar_um, f"{path}: scale_bar_um")
+    for bar_um in (options.scale_bar_um, sidecar.scale_bar_um):
+        if bar_um > _LONGEST_BAR_UM or 0 < bar_um < 1 / _LONGEST_BAR_UM:
+            raise BadInputError(f"a scale bar of {bar_um:g} um: its length must be given in um")
     bar_from_user = not math.isnan(options.scale_bar_um)
     size_from_user = not math.isnan(options.pixel_size_um)
     if bar_from_user and size_from_user:

@@ -25,7 +25,7 @@ IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp")
 MAX_PIXELS = 1_000_000_000
 # No micrograph is packed as tightly as this many times; nothing but a bomb, or a field of one value, is.
 _MOST_TIMES_PACKED = 300
-_LARGE_PIXELS = 20_000_000
+_LARGE_PIXELS = 4_000_000  # below, a bomb costs no more than a micrograph does
 
 _SOFTWARE_TAG = 305
 _ORIENTATION_TAG = 274
@@ -89,7 +89,7 @@ def _decoding(path: Path, file_format: str) -> Iterator[None]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
-    except BadInputError:
+    except (BadInputError, MemoryError):
         raise
     except Exception as error:  # decoders raise almost anything on damaged bytes
         reason = " ".join(str(error).split())[:200] or type(error).__name__
@@ -254,6 +254,8 @@ def _read_exif(picture: Any) -> _Exif:
         per_inch = [float(value) for value in picture.info.get("dpi", (0.0, 0.0))]
         if len(per_inch) == 2 and all(math.isfinite(value) for value in per_inch):
             found.plain = PlainTags("", per_inch[0], per_inch[1], _UM_PER_RESOLUTION_UNIT[2], "EXIF or resolution tags")
+    except MemoryError:
+        raise
     except Exception:  # noqa: BLE001 - a damaged EXIF block must not cost the image
         found.warnings.append("its EXIF block cannot be read; nothing is taken from it")
     return found

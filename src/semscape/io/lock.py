@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from semscape.errors import BadInputError
+from semscape.errors import StorageError
 
 LOCK_NAME = ".semscape-lock"
 _POLL_S = 0.2
@@ -30,7 +30,7 @@ class FolderLock:
 
     Raises
     ------
-    BadInputError
+    StorageError
         On entering: if another process still holds the lock, or the folder cannot be written.
     """
 
@@ -43,7 +43,7 @@ class FolderLock:
         until = time.monotonic() + self._wait_s
         while not self._take():
             if time.monotonic() >= until:
-                raise BadInputError(
+                raise StorageError(
                     f"another process works on {self._path.parent}; wait for it to end, or give another folder"
                 )
             time.sleep(_POLL_S)
@@ -58,7 +58,7 @@ class FolderLock:
         try:
             descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
-            raise BadInputError(
+            raise StorageError(
                 f"the output folder {self._path.parent} cannot be written: {error.strerror or error}"
             ) from error
         if _try_lock(descriptor) and _is_the_file(descriptor, self._path):

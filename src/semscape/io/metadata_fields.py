@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from semscape.io.quantities import KV_PER_VOLTAGE, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH, parse_quantity
+from semscape.io.quantities import KV_PER_VOLTAGE, RAD_PER_ANGLE, TIMES, UM_PER_LENGTH, is_pixel_size, parse_quantity
 from semscape.types import FieldSource, SemMetadata
 
 # Keys of `SemMetadata.raw` for what semscape notes of the image file; all others are the vendor's.
@@ -30,7 +30,6 @@ _DOUBTS_OF_PIXEL_SIZE = (
     "the pixel size follows from",
     "which seldom hold a microscope's",
 )
-_MAX_PIXEL_SIZE_UM = 1000.0
 _POSITIVE = ("pixel_size_um", "working_distance_um", "accelerating_voltage_kv", "magnification")
 _MAX_BAR_SHARE = 0.4
 _ANISOTROPY_LIMIT = 1e-3
@@ -141,7 +140,7 @@ class MetadataFields:
         if math.isnan(value):
             return
         absurd = value <= 0 if name in _POSITIVE else False
-        if absurd or not math.isfinite(value) or (name == "pixel_size_um" and value > _MAX_PIXEL_SIZE_UM):
+        if absurd or not math.isfinite(value) or (name == "pixel_size_um" and not is_pixel_size(value)):
             self.warn(f"{name} of the {self.vendor} header is {value:g}; it is taken as unknown")
             return
         self._values[name] = value + 0.0  # -0 becomes 0

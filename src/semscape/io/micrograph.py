@@ -7,7 +7,7 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
-from semscape.errors import BadInputError
+from semscape.errors import BadInputError, StorageError
 from semscape.io.data_bar import find_data_bar
 from semscape.io.image_file import DecodedImage, decode_image
 from semscape.io.metadata_fields import FILE_KEY_PREFIX
@@ -56,7 +56,7 @@ def read_micrograph_and_warnings(
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror or error})") from error
+        raise StorageError(f"{path}: cannot be read ({error.strerror or error})") from error
     decoded = decode_image(path, data)
     metadata, metadata_warnings = _read_metadata(path, decoded)
     micrograph = Micrograph(

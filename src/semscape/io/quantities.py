@@ -23,9 +23,24 @@ RAD_PER_ANGLE = {
 KV_PER_VOLTAGE = {"v": 1e-3, "volt": 1e-3, "kv": 1.0, "mv": 1e3}
 TIMES = {"x": 1.0, "kx": 1e3, "mx": 1e6, "": 1.0}
 PLAIN = {"": 1.0}
+PIXEL_SIZES = "from 1e-07 to 1000"
+"""Pixel sizes in um that a microscope of any kind may have; what is beyond is a mistake, or overflows later."""
 
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?$")
+_PIXEL_SIZE_LIMITS_UM = (1e-7, 1000.0)
 _LONGEST = 100  # characters of a text that can still be a number with its unit
+
+
+def is_pixel_size(value_um: float) -> bool:
+    """Tell whether a pixel may have this size.
+
+    Examples
+    --------
+    >>> is_pixel_size(0.05), is_pixel_size(5e-324)
+    (True, False)
+    """
+    low, high = _PIXEL_SIZE_LIMITS_UM
+    return low <= value_um <= high
 
 
 def parse_quantity(text: str, units: Mapping[str, float], bare: str = "") -> float:

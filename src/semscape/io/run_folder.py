@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from semscape.errors import BadInputError
+from semscape.errors import BadInputError, StorageError
 from semscape.geometry.rotations import tilted_cam_from_world
 from semscape.io.surfaces import (
     encode_height_map_npz,
@@ -45,6 +46,7 @@ RUN_FORMAT = 1
 """Version of the run folder's contract; it grows where a reader of the version before would misread a folder."""
 
 _PARTIAL_PREFIX = ".semscape-partial-"
+_OWN_FILES = re.compile("|".join([*map(re.escape, RUN_FILES), r"merged\.(ply|glb)", r"height_map_\d+\.npz"]))
 
 
 def prepare_run_folder(folder: Path | str) -> Path:
@@ -59,7 +61,7 @@ def prepare_run_folder(folder: Path | str) -> Path:
 
     Raises
     ------
-    BadInputError
+    StorageError
         If the folder is a file, holds something else than a run, or cannot be written.
     """
     path = make_folder(folder)
@@ -67,19 +69,19 @@ def prepare_run_folder(folder: Path | str) -> Path:
         entries = {entry.name for entry in path.iterdir()}
         visible = {name for name in entries if not name.startswith(".")}
         complete = {"report.json", "reconstruction.json", "options.toml"} <= visible
-        foreign = visible - ({*RUN_FILES} if WORK_NAME in entries else set())
+        foreign = {name for name in visible if not (WORK_NAME in entries and _OWN_FILES.fullmatch(name))}
         if foreign and not complete:
-            raise BadInputError(
+            raise StorageError(
                 f"the output folder {path} is not empty and is not an earlier run of semscape (it holds "
                 f"{min(foreign)!r}); give a new or empty folder"
             )
         refuse_newer_format(path)
         for name in RUN_FILES:
             if (path / name).is_dir():
-                raise BadInputError(f"the output folder {path} cannot be written: {name} in it is a folder")
+                raise StorageError(f"the output folder {path} cannot be written: {name} in it is a folder")
         shutil.rmtree(_make_partial(path))
     except OSError as error:
-        raise BadInputError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
+        raise StorageError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
     return path
 
 
@@ -88,29 +90,29 @@ def make_folder(folder: Path | str) -> Path:
 
     Raises
     ------
-    BadInputError
+    StorageError
         If a file stands in its place, or nothing can be written there.
     """
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
-        raise BadInputError(f"the output folder {path} cannot be made: a file stands in its place") from error
+        raise StorageError(f"the output folder {path} cannot be made: a file stands in its place") from error
     except (OSError, ValueError) as error:
         reason = error.strerror or error if isinstance(error, OSError) else error
-        raise BadInputError(f"the output folder {path} cannot be written: {reason}") from error
+        raise StorageError(f"the output folder {path} cannot be written: {reason}") from error
     return path
 
 
 def refuse_newer_format(folder: Path) -> None:
-    """Raise `BadInputError` for a run folder that a newer semscape wrote, whose files this one would misread."""
+    """Raise `StorageError` for a run folder that a newer semscape wrote, whose files this one would misread."""
     try:
         report = json.loads((folder / "report.json").read_bytes())
         told = report.get("format", RUN_FORMAT)
     except (OSError, ValueError, AttributeError, RecursionError):
         return
     if isinstance(told, int) and told > RUN_FORMAT:
-        raise BadInputError(
+        raise StorageError(
             f"{folder} was written by a newer semscape (format {told}; this one knows {RUN_FORMAT}): update "
             "semscape, or give another folder"
         )
@@ -139,7 +141,7 @@ def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
 
     Raises
     ------
-    BadInputError
+    StorageError
         If the folder cannot be written; the files that were there before are then untouched.
     """
     path = Path(folder)
@@ -157,7 +159,7 @@ def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
-        raise BadInputError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
+        raise StorageError(f"the output folder {path} cannot be written: {error.strerror or error}") from error
 
 
 def reconstruction_to_dict(reconstruction: Reconstruction, names: Sequence[str]) -> dict[str, Any]:

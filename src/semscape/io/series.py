@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from semscape.errors import BadInputError
+from semscape.errors import BadInputError, StorageError
 from semscape.io.acquisition import GivenAcquisition, read_given_acquisition
 from semscape.io.bar_scale import scale_by_bar
 from semscape.io.burnt_in import find_burnt_in_text
@@ -136,7 +136,7 @@ def _image_paths(folder: Path) -> tuple[list[Path], list[str]]:
     try:
         entries = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
     except OSError as error:
-        raise BadInputError(f"{folder}: cannot be read ({error.strerror or error})") from error
+        raise StorageError(f"{folder}: cannot be read ({error.strerror or error})") from error
     paths = sorted(
         (path for path in entries if path.suffix.lower() in IMAGE_SUFFIXES), key=lambda path: natural_key(path.name)
     )

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from semscape.errors import BadInputError
+from semscape.io.quantities import PIXEL_SIZES, is_pixel_size
 
 SIDECAR_NAME = "series.toml"
 
@@ -43,7 +44,7 @@ def _positive(value: float) -> bool:
 _POSITIVE = (_positive, "be a positive number")
 _ANGLE = (lambda value: math.isfinite(value) and abs(value) <= 360.0, "lie within +-360 deg")
 OVERRIDES = {
-    "pixel_size_um": _Key("pixel_size_um", 1.0, *_POSITIVE),
+    "pixel_size_um": _Key("pixel_size_um", 1.0, is_pixel_size, f"be a positive number {PIXEL_SIZES}"),
     "working_distance_mm": _Key("working_distance_um", 1000.0, *_POSITIVE),
     "accelerating_voltage_kv": _Key("accelerating_voltage_kv", 1.0, *_POSITIVE),
     "magnification": _Key("magnification", 1.0, *_POSITIVE),

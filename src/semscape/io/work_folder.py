@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from semscape.errors import BadInputError
+from semscape.errors import StorageError
 from semscape.io.code_version import code_digest
 from semscape.io.run_folder import WORK_NAME
 from semscape.io.value_file import decode_value, encode_value
@@ -39,7 +39,7 @@ class WorkFolder:
 
     Raises
     ------
-    BadInputError
+    StorageError
         If the folder cannot be made.
     """
 
@@ -61,7 +61,7 @@ class WorkFolder:
 
         Raises
         ------
-        BadInputError
+        StorageError
             If the value cannot be written: a disk that is full now will not hold the results either.
         """
         path = self.path / f"{stage}.value"
@@ -99,8 +99,8 @@ class WorkFolder:
             partial.unlink(missing_ok=True)
             raise self._refused(error) from error
 
-    def _refused(self, error: OSError) -> BadInputError:
-        return BadInputError(f"the output folder {self.path.parent} cannot be written: {error.strerror or error}")
+    def _refused(self, error: OSError) -> StorageError:
+        return StorageError(f"the output folder {self.path.parent} cannot be written: {error.strerror or error}")
 
 
 def run_key(series: TiltSeries, options: Options) -> str:

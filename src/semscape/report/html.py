@@ -251,17 +251,20 @@ def _run(report: Mapping[str, Any], unit: LengthUnit) -> str:
         )
         memory = stage["peak_memory_mb"]
         rows += (
-            f'<tr><th scope="row">{escape(stage["name"])}</th><td class="num">{seconds:.2f}</td>'
+            f'<tr><th scope="row">{escape(stage["name"])}{"*" if stage["earlier"] else ""}</th>'
+            f'<td class="num">{seconds:.2f}</td>'
             f'<td class="num">{"–" if memory is None else number(round(memory))}</td>'
             f'<td class="bar"><span style="width:{100 * seconds / longest:.1f}%"></span></td><td>{figures}</td></tr>'
         )
     memory = report["peak_memory_mb"]
     peak = "" if memory is None else f" · peak memory {number(round(memory))} MB"
+    resumed = any(stage["earlier"] for stage in stages)
+    earlier = " · * done before this run was interrupted; what it took then" if resumed else ""
     return (
         '<section><h2>Stages</h2><div class="scroll"><table><thead><tr><th>Stage</th><th class="num">Seconds</th>'
         f'<th class="num">Peak (MB)</th>'
         f"<th></th><th>Figures</th></tr></thead><tbody>{rows}</tbody></table></div>"
-        f'<p class="quiet">{total:.1f} s in all{peak}</p></section>'
+        f'<p class="quiet">{total:.1f} s in all{peak}{earlier}</p></section>'
     )
 
 

@@ -40,7 +40,13 @@ def report_to_dict(result: Result) -> dict[str, Any]:
         "views": views,
         "pairs": report.pairs,
         "stages": [
-            {"name": s.name, "seconds": s.seconds, "peak_memory_mb": s.peak_memory_mb, "figures": s.figures}
+            {
+                "name": s.name,
+                "seconds": s.seconds,
+                "peak_memory_mb": s.peak_memory_mb,
+                "earlier": s.earlier,
+                "figures": s.figures,
+            }
             for s in report.stages
         ],
         "peak_memory_mb": report.peak_memory_mb,

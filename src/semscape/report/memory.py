@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import math
-import re
 import sys
 from pathlib import Path
 
-_STATUS = Path("/proc/self/status")
+from semscape.io.process_status import status_mb
+
 _CLEAR = Path("/proc/self/clear_refs")
 _RESET_PEAK = "5"
 _highest_mb = 0.0
@@ -28,7 +28,7 @@ class PeakMemory:
 
     def peak_mb(self) -> float:
         """Return the peak in MB; NaN where the system does not tell."""
-        return _mark_mb() if self._known else math.nan
+        return status_mb("VmHWM") if self._known else math.nan
 
 
 def peak_memory_mb() -> float:
@@ -47,8 +47,3 @@ def release_memory() -> None:
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
         if trim is not None:
             trim(0)
-
-
-def _mark_mb() -> float:
-    found = re.search(r"^VmHWM:\s*(\d+) kB", _STATUS.read_text(encoding="ascii", errors="replace"), re.MULTILINE)
-    return int(found[1]) / 1e3 if found else math.nan
