@@ -163,12 +163,12 @@ def _score(
     scores, rows = [], []
     train_s = score_s = 0.0
     for train, test in splits:
-        start = time.perf_counter()
+        start = time.process_time()
         estimator = fitted(name, features[train], dataset.significant[train], group=dataset.group[train], seed=seed)
-        trained = time.perf_counter()
+        trained = time.process_time()
         scores.append(probability(estimator, features[test]))
         rows.append(test)
         train_s += trained - start
-        score_s += time.perf_counter() - trained
+        score_s += time.process_time() - trained
     order = np.concatenate(rows)
     return Scored(name, protocol, specimen, np.concatenate(scores), dataset.significant[order], train_s, score_s)
