@@ -92,6 +92,16 @@ def test_noise_has_unit_variance_and_the_stated_correlation() -> None:
     assert noise[0].std() == pytest.approx(noise[300].std(), rel=0.3)
 
 
+def test_wide_noise_is_the_same_noise_and_takes_no_more_memory() -> None:
+    noise = correlated_noise((3000, 3000), 40.0, rng=np.random.default_rng(0))
+    assert noise.std() == pytest.approx(1, rel=0.1)
+    assert (noise[:, 50:] * noise[:, :-50]).mean() == pytest.approx(np.exp(-(50**2) / (4 * 40**2)), abs=0.07)
+    rng = np.random.default_rng(0)
+    far = np.array([correlated_noise((30, 40), 1e9, rng=rng) for _ in range(400)])
+    assert np.ptp(far, axis=(1, 2)).max() < 1e-5  # one draw for all
+    assert far[:, 0, 0].std() == pytest.approx(1, rel=0.15)
+
+
 def test_what_is_unknown_leaves_the_sigma_unknown() -> None:
     z = rough(32, 2, np.random.default_rng(0))
     for uncertainty, scale in ((np.full(z.shape, np.nan), 0.01), (np.ones(z.shape), np.nan)):

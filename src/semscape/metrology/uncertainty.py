@@ -24,6 +24,8 @@ from scipy import ndimage
 
 from semscape.types import FloatArray
 
+_FINEST_COARSE_PX, _NODES_PER_SIGMA = 16.0, 8.0
+
 Measure = Callable[[FloatArray], Mapping[str, float]]
 
 
@@ -103,9 +105,18 @@ def monte_carlo(
 
 
 def correlated_noise(shape: tuple[int, int], sigma_px: float, *, rng: np.random.Generator) -> FloatArray:
-    """Return noise (H, W) of unit variance and autocorrelation exp(-d² / (4 sigma²)); white for sigma 0."""
+    """Return noise (H, W) of unit variance and autocorrelation exp(-d² / (4 sigma²)); white for sigma 0.
+
+    Where sigma is beyond 16 px the noise is drawn on a coarser grid, of 8 to a sigma, and interpolated: it takes no
+    more memory however wide it is.
+    """
     if sigma_px < 0.1:
         return rng.standard_normal(shape, dtype=np.float32).astype(np.float64)
+    if sigma_px > _FINEST_COARSE_PX:
+        step = sigma_px / _NODES_PER_SIGMA
+        rows, cols = (np.arange(size) / step for size in shape)
+        nodes = correlated_noise((int(rows[-1]) + 2, int(cols[-1]) + 2), _NODES_PER_SIGMA, rng=rng)
+        return np.asarray(ndimage.map_coordinates(nodes, np.meshgrid(rows, cols, indexing="ij"), order=1))
     reach = int(np.ceil(4 * sigma_px))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
     kernel = (kernel / np.sqrt((kernel**2).sum())).astype(np.float32)
