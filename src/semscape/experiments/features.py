@@ -84,7 +84,7 @@ def _bars(figures: dict[str, tuple[DetectorFigures, ...]]) -> Figure:
         name="bars",
         title="Inliers, residual and time of the four detectors",
         png=drawn_png((10.0, 3.4), draw, dpi=100),
-        alt="Bars for SIFT, SURF, ORB and BRIEF, grouped by series: inliers per pair, median residual, and processor time.",
+        alt="Bars for SIFT, SURF, ORB and BRIEF, grouped by series: inliers per pair, residual, and processor time.",
     )
 
 
