@@ -21,6 +21,9 @@ from dataclasses import replace
 import numpy as np
 
 from semscape.geometry.rotations import wrap_axis_angle
+from semscape.io.data_bar import data_bar_rows
+from semscape.io.metadata_fields import DATA_BAR_KEY, SCALE_BAR_KEY
+from semscape.io.scale_bar import find_scale_bar
 from semscape.types import BoolArray, ImageArray, Micrograph, SemMetadata
 
 _STRAIGHT_DEG = 0.5  # a scan rotation this close to 0 or 180 deg turns nothing
@@ -109,7 +112,16 @@ def _undo_tilt_correction(view: Micrograph, warnings: list[str]) -> Micrograph:
         f"{what} by {math.degrees(angle):g} deg ({evidence}): undone, the {'rows' if axis_deg == 0 else 'columns'} are "
         f"squeezed to {factor:.4f}; {out}"
     )
-    return replace(view, image=image, mask=mask)
+    return replace(view, image=image, mask=mask, metadata=replace(metadata, raw={**metadata.raw, **_seen_in(view)}))
+
+
+def _seen_in(view: Micrograph) -> dict[str, str]:
+    """Return the heights and lengths that squeezing changes: masked rows look like a bar, a bar is shorter."""
+    bar = find_scale_bar(view.image, view.mask)
+    return {
+        DATA_BAR_KEY: str(data_bar_rows(view.mask)),
+        SCALE_BAR_KEY: "" if bar is None else f"{bar.length_px:.9g}",
+    }
 
 
 def _turn_tilt(metadata: SemMetadata) -> SemMetadata:
