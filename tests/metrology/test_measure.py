@@ -97,6 +97,10 @@ def test_places_are_those_of_the_whole_map_whatever_the_region() -> None:
     for name in ("distance/vertical", "angle/angle between planes"):
         assert values(part)[name] == pytest.approx(whole[name])
     assert values(part)["height/Sq"] < whole["height/Sq"]  # the step is outside
+    assert not any("no vertical" in text for text in part.warnings)
+    beside = run(terrain(), distance=line, region=Region(90, 0, 159, 159))
+    assert np.isnan(values(beside)["distance/vertical"])
+    assert any("an end of --distance lies on an unknown height" in text for text in beside.warnings)
     with pytest.raises(NoAnswerError, match="the map, which is 160 x 160"):
         run(terrain(), region=Region(500, 500, 600, 600))
 
