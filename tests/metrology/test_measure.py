@@ -241,6 +241,13 @@ def test_wear_between_two_maps() -> None:
     assert found["volume lost"] == pytest.approx(40 * 60 * 0.1**2 * 0.5, rel=0.05)
     assert found["volume gained"] < 0.02 * found["volume lost"]
     assert found["deepest loss"] == pytest.approx(0.5, abs=0.1)
+    half = {figure.name: figure.value for figure in measure_change(
+        height_map(after), height_map(before), Region(0, 0, 89, 179))[0]}  # fmt: skip
+    assert half["volume lost"] == pytest.approx(40 * 30 * 0.1**2 * 0.5, rel=0.05)
+    assert (half["overlap"], half["residual sigma"]) == (found["overlap"], found["residual sigma"])
+    before[:80, :80] = np.nan
+    with pytest.raises(NoAnswerError, match="nowhere in the region"):
+        measure_change(height_map(after), height_map(before), Region(5, 5, 40, 40))
     same, _ = measure_change(height_map(after), height_map(after))
     assert {figure.value for figure in same if figure.name.startswith("volume")} == {0.0}
     with pytest.raises(BadInputError, match="one pixel size"):

@@ -66,7 +66,7 @@ def measure_run(run: FinishedRun, request: MeasureRequest, since: FinishedRun | 
     if run.verdict.startswith("do not measure"):
         warnings = (run.verdict, *warnings)
     if since is not None:
-        changed, comparison = measure_change(run.height_map, since.height_map)
+        changed, comparison = measure_change(run.height_map, since.height_map, request.region)
         figures += changed
         if comparison.overlap < 0.5:
             warnings += (f"the two maps share {comparison.overlap:.0%} of the field only",)
