@@ -219,8 +219,10 @@ def test_old_hitachi_text_without_a_pixel_size(tmp_path: Path) -> None:
     assert "###" in warnings[0]
 
 
-def test_hitachi_tilt_compensation_of_unknown_angle() -> None:
-    metadata, _ = parse_hitachi("[SemImageFile]\nTiltCompensation=1\nRasterRotation=0\n", SHAPE)
+@pytest.mark.parametrize("switch", ["1", "5.5", "On"])
+def test_hitachi_tilt_compensation_of_unknown_angle(switch: str) -> None:
+    metadata, warnings = parse_hitachi(f"[SemImageFile]\nTiltCompensation={switch}\nRasterRotation=0\n", SHAPE)
+    assert not warnings
     assert metadata.tilt_correction_rad is not None
     assert math.isnan(metadata.tilt_correction_rad)
     assert metadata.scan_rotation_rad == 0.0

@@ -8,6 +8,7 @@ from sem_files import draw_bar, fei_text, noise, write_image, write_tiff
 
 from semscape.errors import BadInputError
 from semscape.io.data_bar import find_data_bar
+from semscape.io.inspect import describe_series
 from semscape.io.micrograph import read_micrograph
 from semscape.io.scale_bar import find_scale_bar
 from semscape.io.series import load_image, load_series
@@ -86,6 +87,20 @@ def test_inspect_gives_advice_and_the_flag_sets_the_pixel_size(tmp_path: Path) -
     np.testing.assert_allclose(series.pixel_size_um, 0.1)
     assert series.views[0].metadata.source["pixel_size_um"] == "sidecar"
     np.testing.assert_allclose(load_series(tmp_path, InputOptions(pixel_size_um=0.3)).pixel_size_um, 0.3)
+
+
+def test_a_bar_amid_burnt_in_text_is_found_although_that_is_masked(tmp_path: Path) -> None:
+    for i in range(3):
+        image = np.minimum(noise(i, (400, 640)), 250)
+        image[360:364, 100:350] = 255
+        for column in range(380, 480, 20):
+            image[354:370, column : column + 9] = 255
+        write_image(tmp_path / f"img{i}.png", image)
+    series = load_series(tmp_path)
+    assert not series.views[0].mask[360:364, 100:350].any()
+    assert any("250 px long (row 361, columns 100 to 349)" in text for text in series.warnings)
+    assert [row["scale_bar_px"] for row in describe_series(series)] == [250.0] * 3
+    np.testing.assert_allclose(load_series(tmp_path, InputOptions(scale_bar_um=50.0)).pixel_size_um, 0.2)
 
 
 def test_a_single_image_is_inspected_like_those_of_a_folder(tmp_path: Path) -> None:

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sem_files import fei_text, noise, write_image, write_tiff, zeiss_text
+from sem_files import draw_bar, fei_text, noise, write_image, write_tiff, zeiss_text
 
 from semscape.geometry.rotations import wrap_axis_angle
 from semscape.io.burnt_in import find_burnt_in_text
+from semscape.io.inspect import bar_rows as rows_of_bar
+from semscape.io.inspect import describe_series
 from semscape.io.scan_settings import squeeze_rows
 from semscape.io.series import load_series
 
@@ -50,9 +52,27 @@ def test_tilt_correction_is_undone_with_its_evidence(tmp_path: Path) -> None:
     zeiss_series(tmp_path, AP_TILT_AXIS="Tilt Axis = 0 °", **lines)
     series = load_series(tmp_path)
     assert all(view.mask.any(axis=1).sum() == pytest.approx(96 * math.cos(math.pi / 6), abs=2) for view in series.views)
-    assert sum("30 deg (tag 34118, AP_TILT_ANGLE): undone" in text for text in series.warnings) == 3
+    (said,) = [text for text in series.warnings if "30 deg (tag 34118, AP_TILT_ANGLE): undone" in text]
+    assert said.startswith("img0.tif, img1.tif, img2.tif: ")  # once for all of them
     (tmp_path / "series.toml").write_text("tilt_correction_deg = 0\n")
     assert all(view.mask.all() for view in load_series(tmp_path).views)
+
+
+@pytest.mark.parametrize("axis_deg", [0, 90])
+@pytest.mark.parametrize("bar_rows", [0, 60])
+def test_bars_are_described_as_they_were_stored(tmp_path: Path, axis_deg: int, bar_rows: int) -> None:
+    for i in range(2):
+        image = draw_bar(noise(i, (400, 640)), bar_rows) if bar_rows else np.minimum(noise(i, (400, 640)), 250)
+        image[365:385, 80:380] = 0 if bar_rows else image[365:385, 80:380]
+        image[374:378, 100:351] = 255
+        write_image(tmp_path / f"img{i}.png", image)
+    lines = f"tilt_correction_deg = 20\ntilt_correction_axis_deg = {axis_deg}\npixel_size_um = 0.1\n"
+    (tmp_path / "series.toml").write_text(lines)
+    series = load_series(tmp_path)
+    assert sum("undone" in text for text in series.warnings) == 1
+    for row in describe_series(series):
+        assert (row["data_bar_rows"], row["scale_bar_px"]) == (bar_rows, 251.0)
+    assert [rows_of_bar(view) for view in series.views] == [bar_rows] * 2  # what the report says
 
 
 def test_tilt_correction_of_thermo_fisher_is_undone(tmp_path: Path) -> None:
@@ -61,7 +81,7 @@ def test_tilt_correction_of_thermo_fisher_is_undone(tmp_path: Path) -> None:
         write_tiff(tmp_path / f"f{i}.tif", noise(i), fei=fei_text(EBeam=beam, Stage={"StageT": 0.1 * i}))
     series = load_series(tmp_path)
     assert all(view.mask.any(axis=1).sum() == pytest.approx(96 * math.cos(0.5), abs=2) for view in series.views)
-    assert sum("EBeam.TiltCorrectionAngle): undone" in text for text in series.warnings) == 2
+    assert sum("EBeam.TiltCorrectionAngle): undone" in text for text in series.warnings) == 1
 
 
 @pytest.mark.parametrize("told", [{"AP_TILT_AXIS": "T = 90.0 °"}, {"DP_STAGE_TILTED": "Stage Tilt = in X"}])
@@ -73,7 +93,7 @@ def test_a_correction_about_a_vertical_axis_stretches_the_columns(tmp_path: Path
         assert view.mask.any(axis=0).sum() == pytest.approx(128 * math.cos(math.pi / 6), abs=2)
         assert view.mask.any(axis=1).all()
         assert view.image.shape == (96, 128)
-    assert sum("undone, the columns are squeezed" in text for text in series.warnings) == 3
+    assert sum("undone, the columns are squeezed" in text for text in series.warnings) == 1
 
 
 def test_the_user_tells_across_which_axis_an_image_is_stretched(tmp_path: Path) -> None:

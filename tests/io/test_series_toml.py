@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,23 @@ def test_what_inspect_writes_changes_nothing_until_it_is_taken_up(tmp_path: Path
     assert all(view.metadata.source["working_distance_um"] == "sidecar" for view in after.views)
     with pytest.raises(BadInputError, match=r"series\.toml: exists and is not overwritten"):
         write_series_toml(tmp_path, describe_series(before), ())
+
+
+def test_names_of_any_text_are_written_and_others_leave_no_file(tmp_path: Path) -> None:
+    for i, name in enumerate(("a \N{GRINNING FACE}.tif", "b\n2.tif")):
+        write_tiff(tmp_path / name, noise(i))
+    rows = describe_series(load_series(tmp_path))
+    rows[0]["magnification"] = 100.0
+    text = write_series_toml(tmp_path, rows, ()).read_text(encoding="utf-8")
+    tables = re.findall(r"^# (\[images.*)$", text, flags=re.MULTILINE)
+    named = tomllib.loads("\n".join(f"{table}\nmagnification = 1" for table in tables))
+    assert set(named["images"]) == {row["name"] for row in rows}
+    assert all(not line or line.startswith("#") for line in text.splitlines())
+    (tmp_path / "series.toml").unlink()
+    rows[0]["name"] = "a\udcff.tif"
+    with pytest.raises(BadInputError, match=r"series\.toml: cannot be written.*udcff.*rename"):
+        write_series_toml(tmp_path, rows, ())
+    assert not (tmp_path / "series.toml").exists()
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders on this system")

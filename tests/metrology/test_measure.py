@@ -97,6 +97,10 @@ def test_places_are_those_of_the_whole_map_whatever_the_region() -> None:
     for name in ("distance/vertical", "angle/angle between planes"):
         assert values(part)[name] == pytest.approx(whole[name])
     assert values(part)["height/Sq"] < whole["height/Sq"]  # the step is outside
+    assert not any("no vertical" in text for text in part.warnings)
+    beside = run(terrain(), distance=line, region=Region(90, 0, 159, 159))
+    assert np.isnan(values(beside)["distance/vertical"])
+    assert any("an end of --distance lies on an unknown height" in text for text in beside.warnings)
     with pytest.raises(NoAnswerError, match="the map, which is 160 x 160"):
         run(terrain(), region=Region(500, 500, 600, 600))
 
@@ -237,6 +241,13 @@ def test_wear_between_two_maps() -> None:
     assert found["volume lost"] == pytest.approx(40 * 60 * 0.1**2 * 0.5, rel=0.05)
     assert found["volume gained"] < 0.02 * found["volume lost"]
     assert found["deepest loss"] == pytest.approx(0.5, abs=0.1)
+    half = {figure.name: figure.value for figure in measure_change(
+        height_map(after), height_map(before), Region(0, 0, 89, 179))[0]}  # fmt: skip
+    assert half["volume lost"] == pytest.approx(40 * 30 * 0.1**2 * 0.5, rel=0.05)
+    assert (half["overlap"], half["residual sigma"]) == (found["overlap"], found["residual sigma"])
+    before[:80, :80] = np.nan
+    with pytest.raises(NoAnswerError, match="nowhere in the region"):
+        measure_change(height_map(after), height_map(before), Region(5, 5, 40, 40))
     same, _ = measure_change(height_map(after), height_map(after))
     assert {figure.value for figure in same if figure.name.startswith("volume")} == {0.0}
     with pytest.raises(BadInputError, match="one pixel size"):

@@ -81,6 +81,8 @@ def test_one_format_into_a_file(runs: dict[str, Path], tmp_path: Path) -> None:
     )
     with np.load(path) as arrays:
         np.testing.assert_array_equal(arrays["height_um"], read_height_map(path).height_um)
+    assert convert(path, ["tif"], tmp_path / "map.tiff") == (tmp_path / "map.tiff",)
+    assert (tmp_path / "map.tiff").is_file()
     # A height map that lies alone is enough.
     assert convert(path, ["stl"], tmp_path / "solid.stl") == (tmp_path / "solid.stl",)
     assert {p.name for p in convert(path, ["obj"], tmp_path / "m.obj")} == {"m.obj", "m.mtl", "m.png"}

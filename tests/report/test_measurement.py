@@ -123,6 +123,12 @@ def test_json_csv_and_profile_hold_the_same_numbers(run_folder: Path, tmp_path: 
         write_measurement(measured, tmp_path / "file")
 
 
+def test_every_place_in_json_is_in_px(run_folder: Path) -> None:
+    finished = read_finished_run(run_folder)
+    request = MeasureRequest(MeasureOptions(draws=2), profile=(5, 40, 110, 40), edges=(13.0,))
+    assert json.loads(measure_run(finished, request).json())["places_px"]["edges"] == [52.0]  # of 0.25 um
+
+
 def test_the_command_measures_and_wear_of_a_run_against_itself_is_nothing(run_folder: Path, tmp_path: Path) -> None:
     arguments = ["measure", str(run_folder), "--s-filter-um", "5", "--step", "5,10,50,80;70,10,115,80", "--json"]
     done = CliRunner().invoke(app, [*arguments, "--since", str(run_folder), "-o", str(tmp_path / "out")])

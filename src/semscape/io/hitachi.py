@@ -69,7 +69,7 @@ def parse_hitachi(
         )
     if fields.is_on(_SECTION + "DynamicFocus"):
         fields.set_dynamic_focus(_SECTION + "DynamicFocus")
-    compensation, key = fields.read(_SECTION + "TiltCompensation", PLAIN)
-    if math.isfinite(compensation) and compensation != 0:
-        fields.set_tilt_correction(math.nan, key)
+    switch = _SECTION + "TiltCompensation"
+    if fields.is_on(switch) or abs(fields.read(switch, PLAIN)[0]) > 0:
+        fields.set_tilt_correction(math.nan, switch)
     return fields.metadata(model=fields.text(_SECTION + "InstructName")), tuple(fields.warnings)

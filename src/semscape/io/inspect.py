@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from semscape.io.data_bar import data_bar_rows
-from semscape.io.metadata_fields import FILE_KEY_PREFIX, STAGE_TILT_KEY
+from semscape.io.metadata_fields import DATA_BAR_KEY, FILE_KEY_PREFIX, SCALE_BAR_KEY, STAGE_TILT_KEY
 from semscape.io.scale_bar import find_scale_bar
 from semscape.types import Micrograph, TiltSeries
 
@@ -26,6 +26,20 @@ def describe_series(series: TiltSeries) -> list[dict[str, Any]]:
     tag; `warnings` are those of the series that name the image.
     """
     return [_describe(view, series.warnings) for view in series.views]
+
+
+def bar_rows(view: Micrograph) -> int:
+    """Return the height of a view's data bar in rows of the image as it was stored, 0 for none."""
+    stored = view.metadata.raw.get(DATA_BAR_KEY)
+    return data_bar_rows(view.mask) if stored is None else int(stored)
+
+
+def _scale_bar_px(view: Micrograph) -> float | None:
+    stored = view.metadata.raw.get(SCALE_BAR_KEY)
+    if stored is not None:
+        return float(stored) if stored else None
+    bar = find_scale_bar(view.image, view.mask)
+    return None if bar is None else bar.length_px
 
 
 def _describe(view: Micrograph, warnings: tuple[str, ...]) -> dict[str, Any]:
@@ -47,10 +61,9 @@ def _describe(view: Micrograph, warnings: tuple[str, ...]) -> dict[str, Any]:
     sources: dict[str, str] = {
         key: metadata.source.get(name, "assumed") for key, (name, _) in fields.items() if values[key] is not None
     }
-    rows = data_bar_rows(view.mask)
+    rows = bar_rows(view)
     told = rows and rows == metadata.data_bar_rows
     sources["data_bar_rows"] = metadata.source.get("data_bar_rows", "file") if told else "image"
-    bar = find_scale_bar(view.image, view.mask)
     stage_tilt = metadata.raw.get(STAGE_TILT_KEY)
     bits = metadata.raw.get(FILE_KEY_PREFIX + "bits_per_sample")
     return {
@@ -65,7 +78,7 @@ def _describe(view: Micrograph, warnings: tuple[str, ...]) -> dict[str, Any]:
         "stage_tilt_deg": float(stage_tilt) if stage_tilt else None,
         "dynamic_focus": metadata.dynamic_focus,
         "data_bar_rows": rows,
-        "scale_bar_px": None if bar is None else bar.length_px,
+        "scale_bar_px": _scale_bar_px(view),
         "sources": sources,
         "origins": {key: metadata.origin[name] for key, (name, _) in fields.items() if name in metadata.origin},
         "warnings": [text for text in warnings if _names(text, view.name)],

@@ -12,6 +12,8 @@ from semscape.types import FieldSource, SemMetadata
 # Keys of `SemMetadata.raw` for what semscape notes of the image file; all others are the vendor's.
 FILE_KEY_PREFIX = "file."
 STAGE_TILT_KEY = FILE_KEY_PREFIX + "stage_tilt_deg"
+# Of an image that was squeezed after it was read: what only shows in the image as it was stored.
+DATA_BAR_KEY, SCALE_BAR_KEY = FILE_KEY_PREFIX + "data_bar_rows", FILE_KEY_PREFIX + "scale_bar_px"
 # At scan rotation 0 a positive stage tilt turns the surface's normal towards the top of the image: a negative
 # rotation about +x in semscape's convention.
 TILT_SIGN = -1.0

@@ -62,7 +62,8 @@ def find_scale_bar(image: ImageArray, mask: BoolArray) -> ScaleBar | None:
     image : (H, W) float32 array
         Micrograph, values as stored.
     mask : (H, W) bool array
-        False on the data bar, as `find_data_bar` returns it.
+        False on the data bar, as `find_data_bar` returns it. Other masked places, like burnt-in text, may hold the
+        bar as well.
 
     Returns
     -------
@@ -77,14 +78,15 @@ def find_scale_bar(image: ImageArray, mask: BoolArray) -> ScaleBar | None:
     >>> bar.length_px, bar.kind
     (100.0, 'ticked')
     """
-    rows = np.flatnonzero(~mask.any(axis=1))
+    in_image = np.asarray(mask.any(axis=1))
+    rows = np.flatnonzero(~in_image)
     if len(rows) >= _LEAST_STRIP_ROWS:
         found = _in_strip(image[rows[0] : rows[-1] + 1])
         if found is not None:
             return replace(found, row=found.row + int(rows[0]))
-    imaged = image[mask]
+    imaged = image[in_image]
     for level in (imaged.max(), imaged.min()) if imaged.size else ():
-        found = _plain((image == level) & mask)
+        found = _plain((image == level) & in_image[:, None])
         if found is not None:
             return found
     return None

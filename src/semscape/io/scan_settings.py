@@ -21,6 +21,9 @@ from dataclasses import replace
 import numpy as np
 
 from semscape.geometry.rotations import wrap_axis_angle
+from semscape.io.data_bar import data_bar_rows
+from semscape.io.metadata_fields import DATA_BAR_KEY, SCALE_BAR_KEY
+from semscape.io.scale_bar import find_scale_bar
 from semscape.types import BoolArray, ImageArray, Micrograph, SemMetadata
 
 _STRAIGHT_DEG = 0.5  # a scan rotation this close to 0 or 180 deg turns nothing
@@ -30,8 +33,9 @@ _TOLD_APART_DEG = 10.0  # the images tell two axes apart that are so far from ea
 
 def undo_scan_settings(views: Sequence[Micrograph]) -> tuple[list[Micrograph], list[str]]:
     """Return views in plain projection with the tilts' sign as scanned, and warnings with their evidence."""
-    warnings: list[str] = []
-    corrected = [_undo_tilt_correction(view, warnings) for view in views]
+    notes: dict[str, list[str]] = {}
+    corrected = [_undo_tilt_correction(view, notes) for view in views]
+    warnings = [f"{', '.join(names)}: {text}" for text, names in notes.items()]
     focused = [view for view in corrected if view.metadata.dynamic_focus]
     if focused:
         evidence = focused[0].metadata.origin.get("dynamic_focus", "series.toml")
@@ -77,27 +81,30 @@ def squeeze_rows(image: ImageArray, mask: BoolArray, factor: float) -> tuple[Ima
     return new_image, new_mask
 
 
-def _undo_tilt_correction(view: Micrograph, warnings: list[str]) -> Micrograph:
+def _undo_tilt_correction(view: Micrograph, notes: dict[str, list[str]]) -> Micrograph:
+    """Return a view in plain projection; put its name to the text that says what was done, or why nothing was."""
     angle = view.metadata.tilt_correction_rad
     if angle is None or angle == 0:
         return view
     metadata = view.metadata
     evidence = metadata.origin.get("tilt_correction_rad", "series.toml")
     axis_deg, rotation_deg = math.degrees(metadata.tilt_correction_axis_rad), math.degrees(metadata.scan_rotation_rad)
-    what = f"{view.name}: tilt correction was on"
+    what = "tilt correction was on"
     out = "switch it off for tilt series; tilt_correction_deg = 0 in series.toml says that it was off"
     if not abs(math.degrees(angle)) <= _LARGEST_CORRECTION_DEG:
         told = "of an angle that is not told" if math.isnan(angle) else f"by {math.degrees(angle):g} deg"
-        warnings.append(f"{what} {told} ({evidence}): the image is stretched across the tilt axis; {out}")
+        text = f"{what} {told} ({evidence}): the image is stretched across the tilt axis; {out}"
+        notes.setdefault(text, []).append(view.name)
         return view
     by_user = metadata.source.get("tilt_correction_axis_rad") == "sidecar"
     if math.isnan(axis_deg) or not (by_user or abs(math.remainder(rotation_deg, 180.0)) <= _STRAIGHT_DEG):
         scan = "an unknown scan rotation" if math.isnan(rotation_deg) else f"a scan rotation of {rotation_deg:g} deg"
-        warnings.append(
+        text = (
             f"{what} by {math.degrees(angle):g} deg ({evidence}) with {scan}: in which direction the image is "
             "stretched is not sure, so it stays; in series.toml, tilt_correction_axis_deg = 0 (stretched from top to "
             f"bottom) or 90 (from left to right) has it undone; {out}"
         )
+        notes.setdefault(text, []).append(view.name)
         return view
     factor = math.cos(angle)
     if axis_deg == 0:
@@ -105,11 +112,21 @@ def _undo_tilt_correction(view: Micrograph, warnings: list[str]) -> Micrograph:
     else:
         turned, turned_mask = squeeze_rows(view.image.T, view.mask.T, factor)
         image, mask = np.ascontiguousarray(turned.T), np.ascontiguousarray(turned_mask.T)
-    warnings.append(
+    text = (
         f"{what} by {math.degrees(angle):g} deg ({evidence}): undone, the {'rows' if axis_deg == 0 else 'columns'} are "
         f"squeezed to {factor:.4f}; {out}"
     )
-    return replace(view, image=image, mask=mask)
+    notes.setdefault(text, []).append(view.name)
+    return replace(view, image=image, mask=mask, metadata=replace(metadata, raw={**metadata.raw, **_seen_in(view)}))
+
+
+def _seen_in(view: Micrograph) -> dict[str, str]:
+    """Return the heights and lengths that squeezing changes: masked rows look like a bar, a bar is shorter."""
+    bar = find_scale_bar(view.image, view.mask)
+    return {
+        DATA_BAR_KEY: str(data_bar_rows(view.mask)),
+        SCALE_BAR_KEY: "" if bar is None else f"{bar.length_px:.9g}",
+    }
 
 
 def _turn_tilt(metadata: SemMetadata) -> SemMetadata:

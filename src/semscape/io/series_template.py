@@ -21,9 +21,17 @@ def write_series_toml(folder: Path, views: Sequence[Mapping[str, Any]], warnings
         Where there is one already, or the folder cannot be written.
     """
     path = folder / SIDECAR_NAME
+    text = series_toml_text(views, warnings)
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(series_toml_text(views, warnings))
+        content = text.encode()
+    except UnicodeEncodeError as error:
+        name = text[error.start : error.end].encode(errors="backslashreplace").decode()
+        raise BadInputError(
+            f"{path}: cannot be written, for the name of an image holds what is no text ({name}); rename the image"
+        ) from error
+    try:
+        with path.open("xb") as file:
+            file.write(content)
     except FileExistsError as error:
         raise BadInputError(f"{path}: exists and is not overwritten; edit it, or move it away first") from error
     except OSError as error:
@@ -48,7 +56,7 @@ def series_toml_text(views: Sequence[Mapping[str, Any]], warnings: Sequence[str]
         *(f"# warning: {' '.join(warning.split())}" for warning in warnings),
         "",
         "# one tilt for each image, in deg and in the sign of docs/acquire.md, in this order:",
-        *(f"#   {view['name']}" for view in ordered),
+        *(f"#   {' '.join(view['name'].split())}" for view in ordered),
         _line("tilts_deg", [_rounded(view["tilt_deg"]) for view in ordered], ordered),
         "# direction of the tilt axis in the image: 0 horizontal, 90 vertical, counter-clockwise",
         _line("axis_deg", ordered[0].get("axis_deg"), ordered),
@@ -63,7 +71,7 @@ def series_toml_text(views: Sequence[Mapping[str, Any]], warnings: Sequence[str]
     lines += [_line(key, ordered[0].get(key), ordered) for key in shared]
     lines += ["# length that the scale bar in the images stands for; it gives the pixel size", "# scale_bar_um = 10.0"]
     for view in ordered if different else []:
-        lines += ["", f"# [images.{json.dumps(view['name'])}]"]
+        lines += ["", f"# [images.{json.dumps(view['name'], ensure_ascii=False)}]"]
         lines += [_line(key, view.get(key), [view]) for key in different]
     return "\n".join(lines) + "\n"
 

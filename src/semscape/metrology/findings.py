@@ -157,6 +157,11 @@ def surface_warnings(
             f"the L-filter of {options.l_filter_um:g} {unit} is longer than the field of {shorter:.4g} {unit}: it does "
             "little"
         )
+    if "vertical" in value and math.isnan(value["vertical"].value):
+        warnings.append(
+            "no vertical and spatial distance: an end of --distance lies on an unknown height, or outside of what is "
+            "measured"
+        )
     return (*warnings, *_profile_warnings(value, options.l_filter_um, unit))
 
 

@@ -133,10 +133,13 @@ def measure(
     return Measurement(figures, warnings, resolution, rough, origin, profile)
 
 
-def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Figure, ...], Comparison]:
+def measure_change(
+    height_map: HeightMap, earlier: HeightMap, region: Region | Polygon | None = None
+) -> tuple[tuple[Figure, ...], Comparison]:
     """Register an earlier map of the same place to this one and measure what was lost and gained since.
 
-    Only changes beyond three robust sigmas of the difference count, so that noise adds up to no volume. The two maps'
+    The registration rests on the whole maps; what was lost and gained is that of the region, if one is given. Only
+    changes beyond three robust sigmas of the difference count, so that noise adds up to no volume. The two maps'
     height scales each have their own error, which shows as a difference in proportion to the relief.
 
     Raises
@@ -144,7 +147,7 @@ def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Fig
     BadInputError
         If the maps differ in unit or pixel size.
     NoAnswerError
-        If they do not overlap.
+        If they do not overlap, or not in the region.
     """
     pixel, unit = height_map.pixel_size_um, height_map.length_unit
     if earlier.length_unit != unit or abs(earlier.pixel_size_um / pixel - 1) > _SAME_PIXEL_SIZE:
@@ -154,6 +157,10 @@ def measure_change(height_map: HeightMap, earlier: HeightMap) -> tuple[tuple[Fig
         )
     comparison = compare(height_map.height_um, earlier.height_um, pixel)
     change = -comparison.difference
+    if region is not None:
+        change = np.where(region.mask(height_map.height_um.shape), change, np.nan)
+        if not np.isfinite(change).any():
+            raise NoAnswerError("nowhere in the region are the heights of both maps known; choose another region")
     limit = 3 * comparison.residual_sigma + _ROUNDING * pixel
     lost, gained = np.where(change < -limit, -change, 0.0), np.where(change > limit, change, 0.0)
     matrix = comparison.first_from_second

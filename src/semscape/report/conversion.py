@@ -149,6 +149,7 @@ _HEEDED = {
     "print_size_mm": ("--print-size-mm", ("print",)),
     "base_mm": ("--base-mm", ("print",)),
 }
+_SAME_SUFFIX = {".tiff": ".tif"}
 _SUFFIXES = {".print": ".stl", ".anaglyph": ".png", ".side-by-side": ".png"}
 
 
@@ -256,6 +257,7 @@ def _name(run: Path) -> str:
 def _target(formats: list[str], output: Path) -> tuple[Path, str | None]:
     """Return the folder to write into, and the stem of the file where a file is meant."""
     suffix = output.suffix.lower()
+    suffix = _SAME_SUFFIX.get(suffix, suffix)
     suffixes = {_SUFFIXES.get(f".{name}", f".{name}") for name in FORMATS}
     if output.is_dir() or suffix not in suffixes:
         if output.exists() and not output.is_dir():

@@ -66,7 +66,7 @@ def measure_run(run: FinishedRun, request: MeasureRequest, since: FinishedRun | 
     if run.verdict.startswith("do not measure"):
         warnings = (run.verdict, *warnings)
     if since is not None:
-        changed, comparison = measure_change(run.height_map, since.height_map)
+        changed, comparison = measure_change(run.height_map, since.height_map, request.region)
         figures += changed
         if comparison.overlap < 0.5:
             warnings += (f"the two maps share {comparison.overlap:.0%} of the field only",)
@@ -78,6 +78,8 @@ def measured_to_dict(measured: MeasuredRun) -> dict[str, Any]:
     run, resolution = measured.run, measured.measurement.resolution
     unit, pixel_size = run.height_map.length_unit, run.height_map.pixel_size_um
     places = {name: place for name, place in asdict(measured.request).items() if name != "options" and place}
+    if measured.request.edges:
+        places["edges"] = [edge / pixel_size for edge in measured.request.edges]
     return {
         "run": run.name,
         "since": measured.since or None,

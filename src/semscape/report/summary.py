@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from semscape.io.inspect import bar_rows
 from semscape.options import Options
 from semscape.report.memory import peak_memory_mb
 from semscape.report.wording import Z_95
@@ -160,7 +161,7 @@ def _inputs(series: TiltSeries, keypoints: tuple[Keypoints, ...]) -> tuple[dict[
             "vendor": view.metadata.vendor,
             "pixel_size_um": view.metadata.pixel_size_um,
             "tilt_deg": float(np.rad2deg(view.metadata.tilt_rad)),
-            "data_bar_rows": int((~view.mask.any(axis=1)).sum()),
+            "data_bar_rows": bar_rows(view),
             "keypoints": len(found),
             "source": dict(view.metadata.source),
         }
