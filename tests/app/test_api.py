@@ -299,6 +299,11 @@ def test_a_run_that_another_program_makes_is_shown_and_left_alone(
     assert "stage detect begins" in log.text
 
 
+def test_runs_of_one_title_are_told_apart(client: TestClient) -> None:
+    runs = [client.post("/api/runs", json={"title": "view"}).json() for _ in range(2)]
+    assert [(run["name"], run["title"]) for run in runs] == [("view", "view"), ("view-2", "view (2)")]
+
+
 def test_a_title_changes_and_no_folder(client: TestClient, uploaded: str, finished: str, workspace: Workspace) -> None:
     run = client.put(f"/api/runs/{uploaded}", json={"title": "Bruch, 5 kV"}).json()
     assert (run["name"], run["title"]) == (uploaded, "Bruch, 5 kV")

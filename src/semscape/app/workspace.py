@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from semscape.app.names import displayed_name, run_name
+from semscape.app.names import run_name, run_title
 from semscape.app.run_state import RunState, read_state, write_state
 from semscape.errors import BadInputError
 from semscape.io.image_file import IMAGE_SUFFIXES
@@ -134,8 +134,9 @@ class Workspace:
     def create(self, title: str) -> Run:
         """Make a run without images."""
         name = run_name(title, self._taken_names())
+        shown = run_title(title, [run.state.title for run in self.runs()]) or name
         folder = make_folder(self._images / name)
-        write_state(folder, RunState(title=displayed_name(title) or name))
+        write_state(folder, RunState(title=shown))
         return self._run(name)
 
     def free_name(self, name: str) -> str:
