@@ -79,7 +79,8 @@ class Run:
     def require_images(self) -> Path:
         """Return the folder of the images; `UnknownRunError` where there is none."""
         if self.images is None:
-            raise UnknownRunError(f"{self.name} was made elsewhere: its images are not in this workspace")
+            reason = self.state.message or "its images are not in this workspace"
+            raise UnknownRunError(f"{self.name} was made elsewhere: {reason}")
         return self.images
 
 
@@ -186,7 +187,10 @@ class Workspace:
         images = self._images / name
         has_images = images.is_dir()
         folder = self.folder / name
-        state = read_state(images) if has_images else RunState(title=name, state="done")
+        try:
+            state = read_state(images) if has_images else RunState(title=name, state="done")
+        except BadInputError as error:  # of a newer semscape: shown, and left as it is, beside the runs that are known
+            state, has_images = RunState(title=name, state="failed", message=str(error)), False
         return Run(name, folder, images if has_images else None, state)
 
 
