@@ -120,6 +120,12 @@ def test_a_run_waits_is_made_and_shows_its_result(client: TestClient, uploaded: 
     assert client.get(f"/api/runs/{uploaded}").json()["is_stale"]
 
 
+def test_a_setting_that_is_none_is_refused_in_the_words_of_the_page(client: TestClient, uploaded: str) -> None:
+    answer = client.post(f"/api/runs/{uploaded}/reconstruct", json={"settings": ["nonsense"]})
+    assert answer.status_code == 400
+    assert answer.json()["detail"].startswith("the setting 'nonsense' is not of the form")
+
+
 def test_several_runs_queue_in_their_order(client: TestClient, master_images: Path, jobs: Jobs) -> None:
     names = []
     for title in ("first", "second", "third"):

@@ -19,6 +19,7 @@ _WORDS = {
     r"--full-object": "the command semscape reconstruct --full-object",
     r"--(region|profile|level) ": r"\1 ",
     r"--set ([a-z_]+\.[a-z_.]+=\S+?)(?=[,;.]?(\s|$))": r"\1 under More settings",
+    r"--set (?=')": "the setting ",
     r"fewer --workers, more --memory-mb, or ": "",
     r"fewer --workers, ": "",
     r"; run again with --debug": "; what happened is in its log",
