@@ -16,14 +16,15 @@ from held_jobs import Jobs
 from PIL import Image
 
 from semscape.app.workspace import Workspace
+from semscape.batch.folder_run import finished_stage, reconstruct_folder
 from semscape.cluster.executor import WorkerLostError
 from semscape.errors import NoAnswerError
 from semscape.io.finished_run import read_finished_run
-from semscape.io.value_file import encode_value
+from semscape.io.run_folder import WORK_NAME
+from semscape.options import Options
 from semscape.report.conversion import FORMATS
 from semscape.report.measurement import measure_run
 from semscape.report.surface_file import decode_surface
-from synthetic_result import make_result
 
 
 def wait_for(client: TestClient, name: str, state: str) -> dict[str, object]:
@@ -117,6 +118,12 @@ def test_a_run_waits_is_made_and_shows_its_result(client: TestClient, uploaded: 
     assert not run["is_stale"]
     client.put(f"/api/runs/{uploaded}/cells", json={"key": "pixel_size_um", "value": 0.3})
     assert client.get(f"/api/runs/{uploaded}").json()["is_stale"]
+
+
+def test_a_setting_that_is_none_is_refused_in_the_words_of_the_page(client: TestClient, uploaded: str) -> None:
+    answer = client.post(f"/api/runs/{uploaded}/reconstruct", json={"settings": ["nonsense"]})
+    assert answer.status_code == 400
+    assert answer.json()["detail"].startswith("the setting 'nonsense' is not of the form")
 
 
 def test_several_runs_queue_in_their_order(client: TestClient, master_images: Path, jobs: Jobs) -> None:
@@ -252,17 +259,17 @@ def test_the_preview_is_there_as_soon_as_the_points_are(
     client: TestClient, uploaded: str, workspace: Workspace
 ) -> None:
     assert client.get(f"/api/runs/{uploaded}/preview").status_code == 404
-    points = make_result().reconstruction.points_um
-    work = workspace.folder / uploaded / ".semscape-work"
-    work.mkdir(parents=True)
-    from semscape.sfm.calibrate import Calibration
+    images, output = workspace.folder / "images" / uploaded, workspace.folder / uploaded
 
-    calibration = Calibration.__new__(Calibration)
-    for name in Calibration.__dataclass_fields__:
-        object.__setattr__(calibration, name, None)
-    object.__setattr__(calibration, "reconstruction", make_result().reconstruction)
-    (work / "calibrate.value").write_bytes(encode_value(("key", (calibration, (), ()))))
+    def leave(stage: str, _: object) -> None:
+        if stage == "surface":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct_folder(images, output, Options(), progress=leave)
     shown = np.frombuffer(client.get(f"/api/runs/{uploaded}/preview").content, "<f4").reshape(-1, 3)
+    points = finished_stage(output / WORK_NAME, "calibrate")[0].reconstruction.points_um
+    assert len(points) > 100
     np.testing.assert_allclose(shown, points, rtol=1e-6)
 
 
@@ -296,6 +303,11 @@ def test_a_run_that_another_program_makes_is_shown_and_left_alone(
     log = client.get(f"/api/runs/{finished}/log")
     assert log.headers["content-type"] == "text/plain; charset=utf-8"
     assert "stage detect begins" in log.text
+
+
+def test_runs_of_one_title_are_told_apart(client: TestClient) -> None:
+    runs = [client.post("/api/runs", json={"title": "view"}).json() for _ in range(2)]
+    assert [(run["name"], run["title"]) for run in runs] == [("view", "view"), ("view-2", "view (2)")]
 
 
 def test_a_title_changes_and_no_folder(client: TestClient, uploaded: str, finished: str, workspace: Workspace) -> None:

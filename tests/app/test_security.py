@@ -291,3 +291,19 @@ def test_files_of_a_run_folder_that_are_nonsense_break_no_list(
     for content in (b"[]", b"{", b'{"format": 1, "state": "odd"}', b"[" * 100_000):
         (images / ".semscape-app.json").write_bytes(content)
         assert {run["name"] for run in client.get("/api/runs").json()} == {finished, "odd"}
+
+
+def test_a_run_of_a_newer_semscape_is_told_and_left_alone(
+    client: TestClient, workspace: Workspace, finished: str
+) -> None:
+    state = workspace.folder / "images" / "newer" / ".semscape-app.json"
+    state.parent.mkdir()
+    state.write_bytes(b'{"format": 99}')
+    runs = {run["name"]: run for run in client.get("/api/state").json()["runs"]}
+    assert set(runs) == {finished, "newer"}
+    assert runs["newer"]["state"] == "failed"
+    assert "update semscape" in runs["newer"]["message"]
+    assert str(workspace.folder) not in runs["newer"]["message"]
+    assert client.put("/api/runs/newer", json={"title": "mine"}).status_code == 404
+    assert client.post("/api/runs/newer/reconstruct", json={}).status_code == 404
+    assert state.read_bytes() == b'{"format": 99}'

@@ -302,6 +302,13 @@ def test_the_keyboard_alone_opens_a_run(page: Page) -> None:
     expect(page.locator("main")).to_be_focused()
 
 
+def test_an_address_that_was_cut_is_told(page: Page) -> None:
+    page.goto(f"{page.url}#/run/p%C3")
+    expect(page.locator("h1")).to_have_text("No such run")
+    page.get_by_role("link", name="All runs").click()
+    expect(page.locator(".run").first).to_be_visible()
+
+
 def test_the_report_shows_its_viewer_in_its_sandbox(page: Page, context: BrowserContext) -> None:
     page.goto(page.url + "#/run/made%20by%20hand")
     faults: list[str] = []

@@ -16,14 +16,13 @@ import trimesh
 from PIL import Image
 
 from semscape.app.workspace import UnknownRunError
-from semscape.batch.folder_run import reconstruct_folder
+from semscape.batch.folder_run import finished_stage, reconstruct_folder
 from semscape.errors import BadInputError
 from semscape.io.finished_run import FinishedRun, read_finished_run, read_finished_views
 from semscape.io.inspect import describe_series
 from semscape.io.micrograph import read_micrograph
 from semscape.io.run_folder import plain_json
 from semscape.io.series import load_series
-from semscape.io.value_file import decode_value
 from semscape.metrology.grid import Polygon, Region, region_of
 from semscape.metrology.request import MeasureRequest
 from semscape.options import ConvertOptions, MeasureOptions, Options
@@ -97,8 +96,7 @@ def sparse_points(work: Path) -> bytes:
     try:
         if path.is_symlink() or path.stat().st_size > _MOST_VALUE_BYTES:
             raise UnknownRunError("there is no preview of this run")
-        value = decode_value(path.read_bytes())
-        reconstruction = value[1][0].reconstruction
+        reconstruction = finished_stage(work, "calibrate")[0].reconstruction
         if not isinstance(reconstruction, Reconstruction):
             raise ValueError("it holds no points")
         points = np.asarray(reconstruction.points_um, dtype=np.float64)

@@ -70,6 +70,17 @@ def run_name(title: str, taken: Collection[str]) -> str:
     return _unused(_plain(title, "run"), taken)
 
 
+def run_title(title: str, taken: Collection[str]) -> str:
+    """Return a title as it is shown, with a number behind it where another run has it, so that both are told apart.
+
+    Examples
+    --------
+    >>> run_title("view", ["view"])
+    'view (2)'
+    """
+    return _unused(displayed_name(title), taken, "{} ({})")
+
+
 def displayed_name(original: str) -> str:
     """Return a name as it is shown: its last part, without characters that cannot be seen."""
     last = re.split(r"[/\\]", original)[-1]
@@ -95,11 +106,11 @@ def _plain(text: str, instead: str) -> str:
     return f"{instead}-{plain}" if _RESERVED.fullmatch(plain) else plain or instead
 
 
-def _unused(name: str, taken: Collection[str]) -> str:
+def _unused(name: str, taken: Collection[str], numbered: str = "{}-{}") -> str:
     """Return the name, with a number behind it where it is taken, be it in other capitals."""
     used = {item.casefold() for item in taken}
     number, candidate = 1, name
     while candidate.casefold() in used:
         number += 1
-        candidate = f"{name}-{number}"
+        candidate = numbered.format(name, number)
     return candidate

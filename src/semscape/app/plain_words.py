@@ -7,14 +7,19 @@ import re
 from semscape.app.workspace import Run
 
 _WORDS = {
-    r"\(--tilts\)": "(column Tilt)",
+    r"\(--tilts( -?[\d.,-]+\d)?": "(column Tilt",
+    r"give --tilts with": "give the tilts with",
     r"--tilts": "the column Tilt",
     r"--pixel-size-um": "the column Pixel size",
     r"--scale-bar-um( \d+)?": "the cell Scale bar length",
     r"run again with --invert-relief": "reconstruct again with Mirror the relief",
     r"--invert-relief": "Mirror the relief",
     r"--axis-deg": "the cell Tilt axis",
+    r"--camera (\w+)": r"sfm.camera=\1 under More settings",
+    r"--full-object": "the command semscape reconstruct --full-object",
+    r"--(region|profile|level) ": r"\1 ",
     r"--set ([a-z_]+\.[a-z_.]+=\S+?)(?=[,;.]?(\s|$))": r"\1 under More settings",
+    r"--set (?=')": "the setting ",
     r"fewer --workers, more --memory-mb, or ": "",
     r"fewer --workers, ": "",
     r"; run again with --debug": "; what happened is in its log",
@@ -32,6 +37,8 @@ def plain_words(text: str, run: Run | None = None) -> str:
     --------
     >>> plain_words("tilts unknown; give the stage tilts (--tilts), or --set dense.max_pairs=2, or run again")
     'tilts unknown; give the stage tilts (column Tilt), or dense.max_pairs=2 under More settings, or run again'
+    >>> plain_words("Give the tilts (--tilts -3,3, or tilts_deg in series.toml); or run with --camera auto")
+    'Give the tilts (column Tilt, or tilts_deg in series.toml); or run with sfm.camera=auto under More settings'
     """
     if run is not None:
         for folder, words in ((run.images, "the images"), (run.folder, run.name)):

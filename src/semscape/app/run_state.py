@@ -56,7 +56,7 @@ def read_state(images: Path) -> RunState:
         values = json.loads(path.read_bytes())
         told = values["format"]
         if isinstance(told, int) and told > STATE_FORMAT:
-            raise BadInputError(f"{path} was written by a newer semscape: update semscape")
+            raise BadInputError(f"{path.name} of {images.name} was written by a newer semscape: update semscape")
         return _state(values)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return RunState(title=images.name)

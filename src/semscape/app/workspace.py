@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from semscape.app.names import displayed_name, run_name
+from semscape.app.names import run_name, run_title
 from semscape.app.run_state import RunState, read_state, write_state
 from semscape.errors import BadInputError
 from semscape.io.image_file import IMAGE_SUFFIXES
@@ -79,7 +79,8 @@ class Run:
     def require_images(self) -> Path:
         """Return the folder of the images; `UnknownRunError` where there is none."""
         if self.images is None:
-            raise UnknownRunError(f"{self.name} was made elsewhere: its images are not in this workspace")
+            reason = self.state.message or "its images are not in this workspace"
+            raise UnknownRunError(f"{self.name} was made elsewhere: {reason}")
         return self.images
 
 
@@ -134,8 +135,9 @@ class Workspace:
     def create(self, title: str) -> Run:
         """Make a run without images."""
         name = run_name(title, self._taken_names())
+        shown = run_title(title, [run.state.title for run in self.runs()]) or name
         folder = make_folder(self._images / name)
-        write_state(folder, RunState(title=displayed_name(title) or name))
+        write_state(folder, RunState(title=shown))
         return self._run(name)
 
     def free_name(self, name: str) -> str:
@@ -185,7 +187,10 @@ class Workspace:
         images = self._images / name
         has_images = images.is_dir()
         folder = self.folder / name
-        state = read_state(images) if has_images else RunState(title=name, state="done")
+        try:
+            state = read_state(images) if has_images else RunState(title=name, state="done")
+        except BadInputError as error:  # of a newer semscape: shown, and left as it is, beside the runs that are known
+            state, has_images = RunState(title=name, state="failed", message=str(error)), False
         return Run(name, folder, images if has_images else None, state)
 
 

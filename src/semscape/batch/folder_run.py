@@ -20,7 +20,7 @@ from semscape.errors import SemscapeError, StorageError
 from semscape.io.lock import FolderLock
 from semscape.io.run_folder import make_folder, prepare_run_folder
 from semscape.io.series import load_series
-from semscape.io.work_folder import LOG_NAME, WorkFolder, run_key
+from semscape.io.work_folder import LOG_NAME, WorkFolder, kept_value, run_key
 from semscape.log_lines import JsonLines
 from semscape.options import Options
 from semscape.pipeline import reconstruct
@@ -85,6 +85,18 @@ def reconstruct_folder(
         with FolderLock(make_folder(output)):
             prepare_run_folder(output)
             return _reconstruct_locked(folder, states, series, output, options, workers, mapper, follow)
+
+
+def finished_stage(work: Path, stage: str) -> Any:
+    """Return what a stage of an unfinished run has made, as `semscape.reconstruct` gives it to `keep`.
+
+    Raises
+    ------
+    OSError, ValueError, KeyError, TypeError
+        If the stage has not ended, or its file is no value of this semscape.
+    """
+    value, _seconds, _peak_mb = kept_value(work, stage)  # as `_MeasuredWork` keeps it
+    return value
 
 
 def _reconstruct_locked(

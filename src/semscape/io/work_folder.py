@@ -12,7 +12,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from semscape.errors import StorageError
 from semscape.io.code_version import code_digest
@@ -101,6 +101,27 @@ class WorkFolder:
 
     def _refused(self, error: OSError) -> StorageError:
         return StorageError(f"the output folder {self.path.parent} cannot be written: {error.strerror or error}")
+
+
+def kept_value(work: Path, stage: str) -> Any:
+    """Return what a stage of an unfinished run has kept, whatever it depended on.
+
+    Parameters
+    ----------
+    work : Path
+        The work folder.
+    stage : str
+
+    Raises
+    ------
+    OSError, ValueError, KeyError, TypeError
+        If the stage has not ended, or its file is no value of this semscape.
+    """
+    try:
+        _, value = decode_value((work / f"{stage}.value").read_bytes())
+    except RecursionError as error:
+        raise ValueError("it is nested too deep") from error
+    return value
 
 
 def run_key(series: TiltSeries, options: Options) -> str:

@@ -108,6 +108,7 @@ summary { cursor: pointer; }
   figure, tr, .tiles div { break-inside: avoid; }
   .verdict { border: 1px solid currentColor; }
   table { font-size: 10.5px; }
+  .options dl { font-size: 10px; }
   .has-viewer .still { display: block; padding: 0; }
   .surface { margin: 14px 0; }
   .surface > h2 { padding: 0; }

@@ -50,7 +50,7 @@ export async function start(body: HTMLElement): Promise<void> {
   const open = (): void => {
     page?.leave();
     const name = /^#\/run\/(.+)$/.exec(location.hash)?.[1];
-    page = name === undefined ? new RunsPage(live, notices, state) : new RunPage(decodeURIComponent(name), live, notices, state);
+    page = name === undefined ? new RunsPage(live, notices, state) : new RunPage(decoded(name), live, notices, state);
     document.title = `${page.title} – semscape`;
     fill(main, page.root);
     main.focus({ preventScroll: true });
@@ -60,4 +60,13 @@ export async function start(body: HTMLElement): Promise<void> {
   addEventListener("dragover", (event) => event.preventDefault());
   addEventListener("drop", (event) => event.preventDefault()); // a file that misses must not replace the page
   open();
+}
+
+/** The name of a run in an address; as it stands there where the address was cut in the middle of a letter. */
+function decoded(name: string): string {
+  try {
+    return decodeURIComponent(name);
+  } catch {
+    return name;
+  }
 }

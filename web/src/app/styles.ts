@@ -51,6 +51,7 @@ button:disabled { opacity: 0.5; cursor: default; }
 input[type="text"], select, textarea {
   font: inherit; color: inherit; background: var(--card); border: 1px solid var(--field); border-radius: 6px; padding: 0.28rem 0.5rem;
 }
+input[type="text"]:disabled { background: var(--ground); color: var(--quiet); }
 input.told { border: 2px solid var(--accent); font-weight: 650; }
 input[aria-invalid="true"] { border: 2px solid var(--bad); }
 input[type="checkbox"] { width: 1.1rem; height: 1.1rem; accent-color: var(--accent); }
@@ -92,6 +93,7 @@ table { border-collapse: collapse; width: 100%; font-size: 0.95rem; font-variant
 th, td { text-align: left; padding: 0.35rem 0.6rem; border-bottom: 1px solid var(--line); vertical-align: middle; }
 thead th { color: var(--quiet); font-size: 0.88rem; white-space: nowrap; }
 tbody th { font-weight: 550; }
+.figures th { overflow-wrap: break-word; }
 th.group { color: var(--quiet); padding-top: 0.9rem; }
 td.num { text-align: right; white-space: nowrap; }
 img.small { width: 3rem; height: 3rem; object-fit: cover; border-radius: 5px; display: block; background: var(--ground); }
