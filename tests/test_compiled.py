@@ -10,6 +10,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from numba.core.caching import CompileResultCacheImpl
 
 from semscape.cluster.processes import worker_environment
 from semscape.compiled import FilePerType
@@ -98,3 +99,10 @@ def test_a_cache_that_cannot_be_written_is_none(kernel_file: Path, monkeypatch: 
 
     monkeypatch.setattr(FilePerType, "_save_data", full)
     assert loaded(kernel_file).first(np.arange(6.0).reshape(2, 3)) == 1.0
+
+
+def test_where_no_folder_can_be_written_there_is_no_cache(kernel_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container whose files are read-only."""
+    monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
+    assert loaded(kernel_file).first(np.arange(6.0).reshape(2, 3)) == 1.0
+    assert not list(kernel_file.parent.rglob("*.nbc"))

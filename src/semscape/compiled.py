@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core.caching import IndexDataCacheFile
@@ -44,11 +44,14 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Function], Functio
     """
 
     def compiled(function: Function) -> Function:
-        dispatcher: Any = numba.njit(cache=cache, **options)(function)
+        kernel: Any = numba.njit(**options)(function)
         if cache:
-            dispatcher._cache._cache_file.__class__ = FilePerType
-        kernel: Function = dispatcher
-        return kernel
+            with suppress(
+                RuntimeError
+            ):  # neither the package's folder nor the user's can be written: there is no cache
+                kernel.enable_caching()
+                kernel._cache._cache_file.__class__ = FilePerType
+        return cast(Function, kernel)
 
     return compiled
 
