@@ -35,6 +35,7 @@ LAYERS = {
     "experiments": 7,
     "flags": 8,
     "log_lines": 0,
+    "compiled": 0,
     "exit_codes": 8,
     "batch": 8,
     "doctor": 8,
@@ -57,7 +58,7 @@ SIDEWAYS = {
     ("options", "errors"),
 }
 # A renderer that shares matching or triangulation code with the pipeline cannot falsify it.
-SIMULATE_MAY_IMPORT = {"types", "errors", "geometry", "simulate"}
+SIMULATE_MAY_IMPORT = {"types", "errors", "compiled", "geometry", "simulate"}
 OPENS_FILES = {"io", "report", "experiments", "app", "cli", "flags", "batch"}
 IMPORTS_CV2 = {"features", "dense"}
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "common", "base", "manager", "misc"}

@@ -152,3 +152,18 @@ def test_json_text_refuses_what_is_not_json(tmp_path: Path) -> None:
 
 def test_encode_run_and_the_reports_make_up_the_run_folder() -> None:
     assert {*encode_run(RESULT), "report.json", "report.html"} == set(RUN_FILES)
+
+
+def test_owners_of_different_files_in_one_folder_do_not_clear_each_others(tmp_path: Path) -> None:
+    """As two workers of a batch do, when one's record is ready while the other writes its own."""
+
+    class Slow(dict[str, bytes]):
+        def items(self):
+            for owner in ("grain", "grain-1.a", "grain-1.aaaaaaaa"):
+                put_files({f"{owner}.json": b"its own"}, tmp_path, owner)
+            return super().items()
+
+    (tmp_path / ".semscape-partial-grain-1.killed_1").mkdir()
+    put_files(Slow({"grain-1.json": b"mine"}), tmp_path, "grain-1")
+    names = ["grain-1.a.json", "grain-1.aaaaaaaa.json", "grain-1.json", "grain.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names

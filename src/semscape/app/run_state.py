@@ -70,7 +70,7 @@ def write_state(images: Path, state: RunState) -> None:
     BadInputError
         If the folder cannot be written.
     """
-    put_files({STATE_NAME: json_text({"format": STATE_FORMAT, **asdict(state)}).encode()}, images)
+    put_files({STATE_NAME: json_text({"format": STATE_FORMAT, **asdict(state)}).encode()}, images, STATE_NAME)
 
 
 def _state(values: Mapping[str, Any]) -> RunState:

@@ -161,7 +161,7 @@ def write_told(folder: Path, told: Told) -> None:
     BadInputError
         If the folder cannot be written.
     """
-    put_files({SIDECAR_NAME: told_toml(told).encode()}, folder)
+    put_files({SIDECAR_NAME: told_toml(told).encode()}, folder, SIDECAR_NAME)
 
 
 def told_toml(told: Told) -> str:

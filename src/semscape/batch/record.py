@@ -74,7 +74,8 @@ def read_record(output: Path, name: str) -> Record | None:
 def write_record(output: Path, record: Record, thumbnail: bytes = b"") -> None:
     """Put a specimen's record in place, with its thumbnail."""
     files = {f"{record.name}.png": thumbnail} if thumbnail else {}
-    put_files(files | {f"{record.name}.json": json_text(asdict(record)).encode()}, output / RECORDS_NAME)
+    files[f"{record.name}.json"] = json_text(asdict(record)).encode()
+    put_files(files, output / RECORDS_NAME, owner=record.name)  # beside those that other workers write now
 
 
 def input_digests(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from semscape.compiled import njit
 from semscape.types import FloatArray
 
 _STRETCH_LIMIT_PX = 3.0

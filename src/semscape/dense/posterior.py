@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from semscape.compiled import njit
 from semscape.dense.sampling import gaussian_window
 from semscape.types import BoolArray, FloatArray
 

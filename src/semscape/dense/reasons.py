@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
+from semscape.compiled import njit
 from semscape.dense.sampling import gaussian_window
 from semscape.dense.stereo import filled_from_nearest
 from semscape.geometry.cameras import camera_matrices

@@ -9,9 +9,9 @@ per pixel, from a coarser level, keeps time and memory proportional to the image
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from semscape.compiled import njit
 from semscape.types import BoolArray, FloatArray, ImageArray
 
 CensusArray = NDArray[np.uint64]

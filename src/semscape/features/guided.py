@@ -12,10 +12,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from semscape.compiled import njit
 from semscape.types import BoolArray, FloatArray, IntArray, Keypoints, Matches, TwoViewGeometry
 
 _INLIERS_AROUND = 4

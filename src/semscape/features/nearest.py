@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from semscape.compiled import njit
 from semscape.features.tile import HAS_INTEGER_PRODUCTS, TILE_COLUMNS, TILE_ROWS, compare_tile, lowest_bit
 from semscape.types import FloatArray, IntArray
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from semscape.compiled import njit
 from semscape.errors import BadInputError
 from semscape.features.traits import keypoint_traits
 from semscape.options import FeaturesOptions

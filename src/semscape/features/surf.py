@@ -12,9 +12,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from mahotas.features import surf
-from numba import njit
 from numpy.typing import NDArray
 
+from semscape.compiled import njit
 from semscape.features.found import Found, least_blob_height
 from semscape.types import FloatArray, Keypoints
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from semscape.compiled import njit
 from semscape.features.nearest import two_nearest
 from semscape.features.sift import DESCRIPTOR_LEVELS
 from semscape.types import BoolArray, FloatArray, ImageArray, Keypoints, Micrograph

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from semscape.compiled import njit
 from semscape.types import FloatArray, IntArray
 
 _LEAF = 4

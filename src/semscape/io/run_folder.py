@@ -134,10 +134,11 @@ def encode_run(result: Result) -> dict[str, bytes]:
     }
 
 
-def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
+def put_files(files: Mapping[str, bytes], folder: Path | str, owner: str = "") -> None:
     """Write files into a folder: all under temporary names first, then each renamed into place.
 
-    The folder is made where it does not exist.
+    The folder is made where it does not exist. What a killed process left of its temporary names is cleared, so one
+    process at a time may write to a folder; `owner` tells those apart that each have files of their own in one.
 
     Raises
     ------
@@ -147,7 +148,7 @@ def put_files(files: Mapping[str, bytes], folder: Path | str) -> None:
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        partial = _make_partial(path)
+        partial = _make_partial(path, owner)
         try:
             for name, content in files.items():
                 with (partial / name).open("wb") as file:
@@ -331,8 +332,10 @@ def _parameter_sigma(reconstruction: Reconstruction) -> np.ndarray[Any, np.dtype
     return np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 6)
 
 
-def _make_partial(folder: Path) -> Path:
-    """Make a hidden folder for files that are not complete yet, and clear what killed runs left."""
-    for leftover in folder.glob(f"{_PARTIAL_PREFIX}*"):
+def _make_partial(folder: Path, owner: str = "") -> Path:
+    """Make a hidden folder for files that are not complete yet, and clear what killed runs of the same owner left."""
+    prefix = f"{_PARTIAL_PREFIX}{owner}." if owner else _PARTIAL_PREFIX
+    ours = re.compile(re.escape(prefix) + "[^.]+")
+    for leftover in [entry for entry in folder.iterdir() if ours.fullmatch(entry.name)]:
         shutil.rmtree(leftover, ignore_errors=True)
-    return Path(tempfile.mkdtemp(prefix=_PARTIAL_PREFIX, dir=folder))
+    return Path(tempfile.mkdtemp(prefix=prefix, dir=folder))

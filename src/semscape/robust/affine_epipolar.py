@@ -8,8 +8,8 @@ doi:10.1007/BF01539553). Four matches fix it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from semscape.compiled import njit
 from semscape.types import FloatArray
 
 _TRIMMINGS = 5

@@ -8,8 +8,8 @@ Nister 2004, "An efficient solution to the five-point relative pose problem", do
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from semscape.compiled import njit
 from semscape.robust.polynomials import null_space, real_roots
 from semscape.types import FloatArray, IntArray
 

@@ -7,8 +7,8 @@ solutions of each of B samples; degenerate samples have none.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from semscape.compiled import njit
 from semscape.robust.affine_epipolar import hyperplane_of_four
 from semscape.robust.polynomials import null_space, real_roots
 from semscape.types import FloatArray, IntArray

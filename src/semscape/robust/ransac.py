@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from semscape.compiled import njit
 from semscape.robust.acransac import FAILURE_PROBABILITY
 from semscape.robust.models import Model, Shape
 from semscape.robust.score import Points, squared_residuals

@@ -12,10 +12,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from semscape.compiled import njit
 from semscape.types import FloatArray, IntArray
 
 Points = NDArray[Any]
@@ -201,7 +201,7 @@ def squared_residuals(residual: int, m: NDArray[Any], points: Points, start: int
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _transfer(m, x, y, u, v, tiny):  # type: ignore[no-untyped-def]
+def _transfer(m: Any, x: Any, y: Any, u: Any, v: Any, tiny: Any) -> Any:
     """Return the squared distance from (u, v) to where m takes (x, y)."""
     w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
     inverse = w / (w * w + tiny)

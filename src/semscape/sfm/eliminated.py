@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from semscape.compiled import njit
 from semscape.types import FloatArray, IntArray, Observations
 
 # Members of a population that are worked on side by side: lanes of the machine's vector unit.

@@ -8,8 +8,8 @@ and the loop over the points knows nothing of parameters.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from semscape.compiled import njit
 from semscape.types import FloatArray, IntArray
 
 # x x^T of the point (x, y, z, 1), and the inverse of its 3 x 3 normal matrix, by their upper triangles.

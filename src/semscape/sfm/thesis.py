@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy.optimize import differential_evolution
 from scipy.spatial.transform import Rotation
 
+from semscape.compiled import njit
 from semscape.options import SfmOptions
 from semscape.sfm.calibrate import Calibration, calibrate
 from semscape.sfm.plausibility import shared_points

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from semscape.compiled import njit
 from semscape.types import FloatArray, IntArray
 
 _LEAF = 4

@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from semscape.compiled import njit
 from semscape.types import ImageArray
 
 BLOCK = 16  # cells along each side of a block whose highest point is known

@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy import fft
 
+from semscape.compiled import njit
 from semscape.types import FloatArray
 
 

@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 
+from semscape.compiled import njit
 from semscape.simulate.noise import octave_noise
 from semscape.simulate.presets import SimulationOptions
 from semscape.types import ImageArray

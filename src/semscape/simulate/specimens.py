@@ -8,9 +8,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 
+from semscape.compiled import njit
 from semscape.simulate.noise import fractal_field
 from semscape.types import FloatArray, ImageArray
 
