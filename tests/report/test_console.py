@@ -72,7 +72,12 @@ def test_the_summary_says_tilts_scale_and_residual() -> None:
 def test_the_summary_says_what_is_assumed() -> None:
     console, stream = plain()
     print_summary(with_reconstruction(RESULT, ambiguity="reflection", relief_confidence=0.7), console)
-    assert "--invert-relief" in stream.getvalue()
+    assert "run again with --invert-relief" in " ".join(stream.getvalue().split())
+    console, stream = plain()
+    print_summary(with_reconstruction(RESULT, ambiguity="reflection", relief_confidence=0.3), console)
+    assert "against the vote of its shading (--invert-relief; confidence of that vote 70 %)" in " ".join(
+        stream.getvalue().split()
+    )
 
 
 def test_file_names_are_no_markup_and_no_console_is_asked_for_characters_it_lacks() -> None:
