@@ -195,6 +195,7 @@ def test_a_common_offset_of_the_stage_stays_a_common_tilt() -> None:
     [
         ((-8.0, -4.0, 0.0, 14.0, 8.0), {3}),  # mistyped, by far
         ((-8.0, -4.0, 0.0, 4.7, 8.0), {3}),  # and by a little
+        ((-8.0, -4.0, 0.0, 4.0, 9.0), {4}),  # at the end, where it bends its neighbour too
         ((-8.0, -4.0, 0.0, 4.0, -7.9), {4}),  # wrong sign
         ((-8.0, 4.0, 0.0, -4.0, 8.0), {1, 3}),  # swapped files
         ((-7.9, -4.1, 0.1, 4.1, 8.0), set()),

@@ -14,8 +14,8 @@ from semscape.types import FloatArray, IntArray
 PARAMETERS_PER_VIEW = 6  # tilt, roll, relative scale, anisotropy, x and y translation
 TRANSLATION_SIGMA_PX = 100.0
 UNDETERMINED = (
-    "the tracks do not determine the motion of the series: more matches or a wider tilt range are needed, and tilts and "
-    "pixel sizes that are those of these images"
+    "the tracks do not determine the motion of the series: more matches or a wider tilt range are needed, and tilts "
+    "and pixel sizes that are those of these images"
 )
 
 

@@ -122,8 +122,8 @@ def relief_sign(
         f"{confidence:.0%}"
     )
     if options.invert_relief:
-        against = f"{voted}; --invert-relief turns it against that vote: if hills come out as pits, run without it"
-        return -sign, "reflection", 1 - confidence, [against]
+        turned = f"{voted}; --invert-relief turns it against that vote: if hills come out as pits, run without it"
+        return -sign, "reflection", 1 - confidence, [turned]
     return sign, "reflection", confidence, [f"{voted}; if hills come out as pits, run again with --invert-relief"]
 
 
