@@ -178,6 +178,7 @@ def ambiguity_text(reconstruction: Reconstruction) -> str:
         "metadata": "the stage tilts in the files",
         "user": "the tilts given by the user",
         "self-calibrated": "the images alone (self-calibration)",
+        "thesis": "the textbook route (sfm.method), which does not say how well",
     }[reconstruction.tilt_source]
     if reconstruction.ambiguity == "bas_relief":
         return (
