@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -67,6 +68,17 @@ def test_the_summary_says_tilts_scale_and_residual() -> None:
     text = stream.getvalue()
     assert "tilts: -3.02 ± 0.02, 0.01 ± 0.02, 2.99 ± 0.02 deg (metadata)" in text
     assert "height scale ±1.1 % (95 %), residual rms 0.214 px" in text
+
+
+def test_a_sigma_that_is_unknown_is_not_zero() -> None:
+    console, stream = plain()
+    unknown = np.full(3, np.nan)
+    print_summary(
+        with_reconstruction(RESULT, tilt_sigma_rad=unknown, height_scale_relative_sigma=np.nan, tilt_source="thesis"),
+        console,
+    )
+    assert "tilts: -3.02, 0.01, 2.99 deg (thesis)" in stream.getvalue()
+    assert "height scale: uncertainty unknown" in stream.getvalue()
 
 
 def test_the_summary_says_what_is_assumed() -> None:
