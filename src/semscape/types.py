@@ -24,7 +24,7 @@ BoolArray = NDArray[np.bool_]
 
 LengthUnit = Literal["um", "px"]
 Ambiguity = Literal["none", "reflection", "bas_relief"]
-TiltSource = Literal["metadata", "user", "self-calibrated"]
+TiltSource = Literal["metadata", "user", "self-calibrated", "thesis"]
 FieldSource = Literal["file", "sidecar", "user", "assumed", "doubtful"]
 
 

@@ -72,6 +72,15 @@ def test_views_of_other_specimens_fail_without_an_error(simulated: Simulated) ->
     assert (row.inliers, row.failed, row.residual_px) == (0, 2, None)
 
 
+def test_the_essential_matrix_gets_its_calibrations_or_says_what_it_lacks(simulated: Simulated) -> None:
+    options = Options().with_settings(["robust.model=essential"])
+    series, _ = simulated
+    assert compare_features(series, options, detectors=["orb"])[0].failed == 0
+    views = tuple(replace(view, metadata=replace(view.metadata, working_distance_um=np.nan)) for view in series.views)
+    with pytest.raises(BadInputError, match="working distance"):
+        compare_features(replace(series, views=views), options, detectors=["orb"])
+
+
 def test_truth_of_other_views_is_refused(simulated: Simulated, tmp_path: Path) -> None:
     series, truth = simulated
     with pytest.raises(ValueError, match="truth is of 3 views, the series has 2"):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -69,10 +70,26 @@ def test_the_summary_says_tilts_scale_and_residual() -> None:
     assert "height scale ±1.1 % (95 %), residual rms 0.214 px" in text
 
 
+def test_a_sigma_that_is_unknown_is_not_zero() -> None:
+    console, stream = plain()
+    unknown = np.full(3, np.nan)
+    print_summary(
+        with_reconstruction(RESULT, tilt_sigma_rad=unknown, height_scale_relative_sigma=np.nan, tilt_source="thesis"),
+        console,
+    )
+    assert "tilts: -3.02, 0.01, 2.99 deg (thesis)" in stream.getvalue()
+    assert "height scale: uncertainty unknown" in stream.getvalue()
+
+
 def test_the_summary_says_what_is_assumed() -> None:
     console, stream = plain()
     print_summary(with_reconstruction(RESULT, ambiguity="reflection", relief_confidence=0.7), console)
-    assert "--invert-relief" in stream.getvalue()
+    assert "run again with --invert-relief" in " ".join(stream.getvalue().split())
+    console, stream = plain()
+    print_summary(with_reconstruction(RESULT, ambiguity="reflection", relief_confidence=0.3), console)
+    assert "against the vote of its shading (--invert-relief; confidence of that vote 70 %)" in " ".join(
+        stream.getvalue().split()
+    )
 
 
 def test_file_names_are_no_markup_and_no_console_is_asked_for_characters_it_lacks() -> None:

@@ -132,6 +132,9 @@ def test_invert_relief_mirrors_everything_at_once(self_calibrated: tuple[Calibra
     np.testing.assert_allclose(down.points_um[:, 2], -up.points_um[:, 2], atol=1e-9)
     np.testing.assert_allclose(down.points_um[:, :2], up.points_um[:, :2], atol=1e-9)
     assert down.rms_px == pytest.approx(up.rms_px)
+    assert down.relief_confidence == pytest.approx(1 - up.relief_confidence)  # that the sign is right
+    assert any("run again with --invert-relief" in warning for warning in up.warnings)
+    assert any("against that vote" in warning and "run without it" in warning for warning in down.warnings)
 
 
 def test_a_reflection_fits_as_well_and_only_the_stage_tells_it() -> None:
@@ -192,6 +195,7 @@ def test_a_common_offset_of_the_stage_stays_a_common_tilt() -> None:
     [
         ((-8.0, -4.0, 0.0, 14.0, 8.0), {3}),  # mistyped, by far
         ((-8.0, -4.0, 0.0, 4.7, 8.0), {3}),  # and by a little
+        ((-8.0, -4.0, 0.0, 4.0, 9.0), {4}),  # at the end, where it bends its neighbour too
         ((-8.0, -4.0, 0.0, 4.0, -7.9), {4}),  # wrong sign
         ((-8.0, 4.0, 0.0, -4.0, 8.0), {1, 3}),  # swapped files
         ((-7.9, -4.1, 0.1, 4.1, 8.0), set()),
@@ -299,6 +303,17 @@ def test_equal_stage_tilts_have_no_answer() -> None:
 def test_too_few_tracks_are_refused() -> None:
     with pytest.raises(TooFewMatchesError, match="20 tracks over 5 views, need 24"):
         solve(make_tracks(TILTS, stage_deg=TILTS, n_points=20))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_pixel_size_off_by_a_million_ends_in_an_error() -> None:
+    """The normal matrix is then singular but for rounding, which makes variances negative."""
+    tracks = make_tracks(TILTS, stage_deg=TILTS, seen=1.0)
+    first = tracks.series.views[0]
+    wrong = replace(first, metadata=replace(first.metadata, pixel_size_um=1e-6 * first.metadata.pixel_size_um))
+    series = replace(tracks.series, views=(wrong, *tracks.series.views[1:]))
+    with pytest.raises(DegenerateGeometryError, match="pixel sizes"):
+        calibrate(series, tracks.observations, OPTIONS, rng=np.random.default_rng(0))
 
 
 def test_invert_relief_is_refused_where_the_stage_fixes_the_sign() -> None:

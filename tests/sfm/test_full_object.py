@@ -102,6 +102,20 @@ def test_where_no_track_tells_the_sense_it_is_as_conventions_have_it() -> None:
     assert "seen from the electron source" in found.doubts[0]
 
 
+@pytest.mark.parametrize(
+    ("field", "off_deg", "what"), [("tilt_rad", 2.0, "tilt"), ("stage_rotation_rad", -6.0, "rotation")]
+)
+def test_a_reading_that_the_images_contradict_is_named(field: str, off_deg: float, what: str) -> None:
+    series, observations, _ = dome()
+    views = list(series.views)
+    told = getattr(views[3].metadata, field) + np.deg2rad(off_deg)
+    views[3] = replace(views[3], metadata=replace(views[3].metadata, **{field: told}))
+    found = calibrate_full_object(replace(series, views=tuple(views)), observations, SfmOptions())
+    assert len(found.doubts) == 1
+    assert found.doubts[0].startswith(f"3.tif: the stage says {np.rad2deg(told):.2f}")
+    assert f"mistyped {what}" in found.doubts[0]
+
+
 def test_derivatives_equal_finite_differences() -> None:
     rng = np.random.default_rng(2)
     model = FullObjectModel(TILT[:3], ROTATION[:3], np.full(3, SCALE), SfmOptions())

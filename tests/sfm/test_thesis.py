@@ -8,7 +8,7 @@ import pytest
 from semscape.experiments.simulated_tracks import TrackRecipe, simulate_tracks
 from semscape.geometry.rotations import axis_rotation
 from semscape.options import SfmOptions
-from semscape.sfm.thesis import ThesisPair, reprojection_errors, thesis_motion
+from semscape.sfm.thesis import ThesisPair, reprojection_errors, thesis_calibration, thesis_motion
 
 
 def pinhole_rays(tilt_deg: float) -> tuple[np.ndarray, np.ndarray]:
@@ -45,6 +45,20 @@ def test_what_it_gives_on_a_series_is_told() -> None:
         assert pair.rms_px[1] < 2.0
         assert bool(pair.failure) == (pair.in_front < 0.75)
     assert len(found.failures) == sum(bool(pair.failure) for pair in found.pairs)
+
+
+def test_its_tilts_have_no_stated_uncertainty() -> None:
+    """They are held while the rest is fitted, which says nothing of their errors."""
+    tracks = simulate_tracks(
+        TrackRecipe((-6.0, 0.0, 6.0), n_points=200, outlier_share=0.0), rng=np.random.default_rng(0)
+    )
+    options = SfmOptions(de_generations=20)
+    found = thesis_calibration(tracks.series, tracks.observations, options, rng=np.random.default_rng(0))[0]
+    reconstruction = found.reconstruction
+    assert reconstruction.tilt_source == "thesis"
+    assert np.isnan(reconstruction.tilt_sigma_rad).all()
+    assert np.isnan(reconstruction.height_scale_relative_sigma)
+    assert np.isnan(reconstruction.tilt_prior_rad).all()  # no stage told any
 
 
 @pytest.mark.parametrize(("rotation", "step_deg"), [([0.0, 0.1, 0.0], 5.73), ([0.01, -0.1, 0.5], -5.76)])

@@ -69,7 +69,10 @@ def _bars(figures: dict[str, tuple[DetectorFigures, ...]]) -> Figure:
     panels: tuple[tuple[str, list[list[float | None]]], ...] = (
         ("inliers per pair", [[row.inliers for row in rows] for rows in figures.values()]),
         ("residual (px)", [[row.residual_px for row in rows] for rows in figures.values()]),
-        ("processor s per view and pair", [[row.detect_s + row.match_s for row in rows] for rows in figures.values()]),
+        (
+            "processor seconds per view and pair",
+            [[row.detect_s + row.match_s for row in rows] for rows in figures.values()],
+        ),
     )
     colours = dict(zip(DETECTORS, (ACCENT, WARM, INK, "#3f9c6b"), strict=True))
 
@@ -84,7 +87,7 @@ def _bars(figures: dict[str, tuple[DetectorFigures, ...]]) -> Figure:
         name="bars",
         title="Inliers, residual and time of the four detectors",
         png=drawn_png((10.0, 3.4), draw, dpi=100),
-        alt="Bars for SIFT, SURF, ORB and BRIEF, grouped by series: inliers per pair, residual, and processor time.",
+        alt="Bars for SIFT, SURF, ORB and BRIEF, grouped by series: inliers per pair, median residual, seconds.",
     )
 
 

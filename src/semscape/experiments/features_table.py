@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from semscape.features.match import match
 from semscape.io.series import load_series
 from semscape.io.simulated import TRUTH_JSON, read_truth
 from semscape.options import FeaturesOptions, Options
+from semscape.robust.pair_geometry import pinhole_calibrations, two_view_geometry
 from semscape.sfm.two_view import match_pair
 from semscape.types import FloatArray, Keypoints, Matches, Micrograph, SimulationTruth, TiltSeries, TwoViewGeometry
 
@@ -23,6 +25,7 @@ TOLERANCE_PX = 3.0
 """A match is right when it lies this close to where the true cameras and heights put it."""
 
 _WARM_UP_PX = 160
+_WARM_UP_MATCHES = 64
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,8 @@ def compare_features(
 
     Raises
     ------
+    BadInputError
+        For an essential matrix (`robust.model`) without working distances.
     ValueError
         If the truth has another number of views than the series.
     """
@@ -133,11 +138,23 @@ def _warm_up(series: TiltSeries, options: Options) -> None:
     corner = slice(0, _WARM_UP_PX)
     view = series.views[0]
     small = replace(view, image=view.image[corner, corner], mask=np.ones_like(view.mask[corner, corner]))
-    try:
+    with suppress(SemscapeError):
         found = detect(small, options.features)
         match((0, 1), found, found, ratio=options.features.ratio)
-    except SemscapeError:
-        pass
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0, _WARM_UP_PX, (_WARM_UP_MATCHES, 2))
+    with suppress(SemscapeError):
+        two_view_geometry(
+            (0, 1),
+            xy,
+            xy + rng.normal(0, 1, xy.shape),
+            kind=options.robust.model,
+            shapes=(series.shape, series.shape),
+            rng=rng,
+            max_trials=options.robust.max_trials,
+            calibrations=_calibrations(series, (0, 1), options),
+            parallax_limited=options.robust.limit_parallax,
+        )
 
 
 def _figures(series: TiltSeries, options: Options, truth: SimulationTruth | None) -> DetectorFigures:
@@ -189,13 +206,21 @@ def _detected(view: Micrograph, options: FeaturesOptions) -> Keypoints:
         return Keypoints(np.zeros((0, 2)), none, none, none, np.zeros((0, 1), np.uint8), options.detector)
 
 
+def _calibrations(series: TiltSeries, pair: tuple[int, int], options: Options) -> tuple[FloatArray, FloatArray] | None:
+    if options.robust.model != "essential":
+        return None
+    known = pinhole_calibrations(series)
+    return known[pair[0]], known[pair[1]]
+
+
 def _verified(
     pair: tuple[int, int], views: tuple[Keypoints, ...], series: TiltSeries, options: Options
 ) -> tuple[Matches, TwoViewGeometry | None]:
     """Return a pair's matches and its geometry, None where it has no meaningful one."""
     rng = np.random.default_rng([options.run.seed, *pair])
+    known = _calibrations(series, pair, options)
     try:
-        return match_pair(pair, views, series.names, series.shape, options.features, options.robust, rng)
+        return match_pair(pair, views, series.names, series.shape, options.features, options.robust, rng, known)
     except SemscapeError:
         return Matches(pair, np.empty((0, 2), np.int64), np.empty(0)), None
 

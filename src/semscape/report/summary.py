@@ -130,6 +130,8 @@ def _verdict(reconstruction: Reconstruction, metrics: dict[str, Any]) -> str:
     if reconstruction.contradictions:
         return f"do not measure: the images contradict what was told of them. {reconstruction.contradictions[0]}"
     scale = Z_95 * reconstruction.height_scale_relative_sigma
+    if np.isnan(scale):
+        return "do not measure: nothing tells how well the tilts are known, and with them the height scale"
     if scale > _USABLE_HEIGHT_SCALE:
         return (
             f"do not measure: the height scale is known to +-{scale:.0%} (95 %) only; shape and proportions in the "

@@ -178,6 +178,7 @@ def ambiguity_text(reconstruction: Reconstruction) -> str:
         "metadata": "the stage tilts in the files",
         "user": "the tilts given by the user",
         "self-calibrated": "the images alone (self-calibration)",
+        "thesis": "the textbook route (sfm.method), which does not say how well",
     }[reconstruction.tilt_source]
     if reconstruction.ambiguity == "bas_relief":
         return (
@@ -186,6 +187,12 @@ def ambiguity_text(reconstruction: Reconstruction) -> str:
         )
     if reconstruction.ambiguity == "reflection":
         confidence = reconstruction.relief_confidence
+        if confidence < 0.5:
+            return (
+                f"The height scale comes from {source}, which leaves the relief or its mirror image: the sign of the "
+                f"relief was set against the vote of its shading (--invert-relief; confidence of that vote "
+                f"{100 * (1 - confidence):.0f} %) and is an assumption. If hills look like pits, run without it."
+            )
         stated = f" (confidence {100 * confidence:.0f} %)" if math.isfinite(confidence) else ""
         return (
             f"The height scale comes from {source}, which leaves the relief or its mirror image: the sign of the "

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from semscape.errors import DegenerateGeometryError
 from semscape.options import SfmOptions
 from semscape.sfm.adjust import Adjustment, Problem, adjust, robust_cost
 from semscape.sfm.models import PARAMETERS_PER_VIEW, TiltSeriesModel
@@ -51,7 +54,10 @@ def images_height_scale_sigma(
     hessian = Problem(observations, model).normal_equations(found.parameters, information).hessian
     if np.linalg.eigvalsh(hessian)[0] <= 0:
         return np.inf
-    covariance = model.covariance(hessian, found.parameters)[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
+    try:
+        covariance = model.covariance(hessian, found.parameters)[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
+    except DegenerateGeometryError:
+        return np.inf
     sigma = height_scale_relative_sigma(found.parameters[1::PARAMETERS_PER_VIEW], covariance)
     return sigma if sigma < _NOTHING_KNOWN else np.inf
 
@@ -69,4 +75,5 @@ def height_scale_relative_sigma(tilt_rad: FloatArray, tilt_covariance: FloatArra
     """
     deviation = tilt_rad - tilt_rad.mean()
     gradient = deviation / max(float(deviation @ deviation), 1e-18)
-    return float(np.sqrt(gradient @ tilt_covariance @ gradient))
+    variance = float(gradient @ tilt_covariance @ gradient)
+    return math.sqrt(variance) if variance >= 0 else math.nan  # rounding has eaten a nearly singular covariance

@@ -284,7 +284,7 @@ def _reconstruction(
     height_scale_sigma = height_scale_relative_sigma(motion.tilt_rad, tilt_covariance)
     tilt_sigma = np.sqrt(np.diag(tilt_covariance))
     contradictions = doubts + prior_contradictions(
-        series.names, final.parameters, tilt_sigma, prior, tilts_doubted=bool(doubts)
+        series.names, final.parameters, tilt_covariance, prior, tilts_doubted=bool(doubts)
     )
     warnings += height_scale_warnings(height_scale_sigma, prior)
     if options.camera == "orthographic":

@@ -18,6 +18,7 @@ from semscape.sfm.adjust import Adjustment, refine, robust_cost
 from semscape.sfm.eliminated import eliminated_cost, pattern_scatters
 from semscape.sfm.models import camera_jacobians as tilted_jacobians
 from semscape.sfm.models import cross_matrix, inverted
+from semscape.sfm.plausibility import against_the_stage
 from semscape.types import FloatArray, Observations, TiltSeries
 
 PARAMETERS_PER_VIEW = 7  # tilt, roll, relative scale, anisotropy, stage rotation, x and y translation
@@ -76,6 +77,7 @@ class FullObjectMotion:
 
     The parameters of `adjustment` are those of `FullObjectModel`. `sense_margin` is by how much the stage's rotation,
     read clockwise, costs more than counter-clockwise, twice a logarithm of likelihoods; near 0 no track tells.
+    `contradictions` name the views whose told tilt or rotation is more than 3 sigma from what the images say.
     """
 
     cam_from_world: FloatArray
@@ -85,6 +87,7 @@ class FullObjectMotion:
     scale_px_per_um: FloatArray
     adjustment: Adjustment
     sense_margin: float = 0.0
+    contradictions: tuple[str, ...] = ()
 
     @property
     def clockwise(self) -> bool:
@@ -93,10 +96,11 @@ class FullObjectMotion:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What the images leave open."""
+        """What the images contradict, and what they leave open."""
         if abs(self.sense_margin) >= _CLEAR_MARGIN:
-            return ()
+            return self.contradictions
         return (
+            *self.contradictions,
             "too few tracks tie views of different stage rotations to tell in which sense the stage turns (margin "
             f"{abs(self.sense_margin):.1f}, need {_CLEAR_MARGIN:g}): rotations are read counter-clockwise, seen from "
             "the electron source. If the sides do not fit together, give stage_rotation_deg with the opposite signs, "
@@ -154,7 +158,8 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
     sigma_px = min(end.sigma_px for end in ends.values())
     cost = {sense: robust_cost(ends[sense].parameters, observations, models[sense], sigma_px) for sense in _SENSES}
     margin = cost[-1.0] - cost[1.0]
-    found = ends[-1.0 if margin < -_CLEAR_MARGIN else 1.0]  # as `FullObjectMotion.clockwise`
+    sense = -1.0 if margin < -_CLEAR_MARGIN else 1.0  # as `FullObjectMotion.clockwise`
+    found = ends[sense]
     per_view = found.parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
     rotations = tilted_cam_from_world(found.parameters[0], per_view[:, 0], per_view[:, 1]) @ roll_rotation(
         per_view[:, 4]
@@ -167,7 +172,23 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
         scale * (1 + per_view[:, 2]),
         found,
         margin,
+        tuple(_against_the_stage(series.names, tilt, sense * rotation, found, options)),
     )
+
+
+def _against_the_stage(
+    names: tuple[str, ...], tilt_rad: FloatArray, rotation_rad: FloatArray, found: Adjustment, options: SfmOptions
+) -> list[str]:
+    said = []
+    for what, offset, reading_rad, trust_rad in (
+        ("tilts", 1, tilt_rad, np.deg2rad(options.prior_tilt_deg)),
+        ("rotations", 5, rotation_rad, _ROTATION_SIGMA_RAD),
+    ):
+        own = slice(offset, None, PARAMETERS_PER_VIEW)
+        trust = np.full(len(names), trust_rad)
+        posterior = found.parameters[own], found.covariance[own, own]
+        said += against_the_stage(names, what, reading_rad, trust, *posterior)
+    return said
 
 
 def _start(axis_rad: float, model: FullObjectModel, observations: Observations) -> FloatArray:

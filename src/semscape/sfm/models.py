@@ -13,7 +13,10 @@ from semscape.types import FloatArray, IntArray
 
 PARAMETERS_PER_VIEW = 6  # tilt, roll, relative scale, anisotropy, x and y translation
 TRANSLATION_SIGMA_PX = 100.0
-UNDETERMINED = "the tracks do not determine the motion of the series: more matches or a wider tilt range are needed"
+UNDETERMINED = (
+    "the tracks do not determine the motion of the series: more matches or a wider tilt range are needed, and tilts "
+    "and pixel sizes that are those of these images"
+)
 
 
 class MotionModel(Protocol):
@@ -121,12 +124,15 @@ def inverted(hessian: FloatArray) -> FloatArray:
     Raises
     ------
     DegenerateGeometryError
-        When it is singular.
+        When it is singular, or so nearly that rounding leaves negative variances.
     """
     try:
-        return np.asarray(np.linalg.inv(hessian), dtype=np.float64)
+        covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         raise DegenerateGeometryError(UNDETERMINED) from error
+    if not (np.diagonal(covariance, axis1=-2, axis2=-1) > 0).all():
+        raise DegenerateGeometryError(UNDETERMINED)
+    return covariance
 
 
 def camera_jacobians(parameters: FloatArray, scale_px_per_um: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

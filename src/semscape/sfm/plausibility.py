@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -185,7 +186,7 @@ def perspective_warnings(series: TiltSeries, tilt_rad: FloatArray, height_um: Fl
 def prior_contradictions(
     names: tuple[str, ...],
     parameters: FloatArray,
-    tilt_sigma_rad: FloatArray,
+    tilt_covariance_rad2: FloatArray,
     prior: MotionPrior,
     *,
     tilts_doubted: bool,
@@ -200,7 +201,7 @@ def prior_contradictions(
     names : V file names
     parameters : (1 + 6 V,) float array
         In the order of `Adjustment.parameters`, before any choice of sign.
-    tilt_sigma_rad : (V,) float array
+    tilt_covariance_rad2 : (V, V) float array
         Of the tilts among them.
     prior : MotionPrior
     tilts_doubted : bool
@@ -217,7 +218,15 @@ def prior_contradictions(
     per_view = parameters[1:].reshape(prior.n_views, -1)[:, :4]
     deviation = (per_view - centre[1:].reshape(-1, 4)) / sigma[1:].reshape(-1, 4)
     if not (prior.self_calibrated or tilts_doubted):
-        found += _tilts_against_the_stage(names, per_view[:, 0], tilt_sigma_rad, prior)
+        told = np.flatnonzero(np.isfinite(prior.tilt_sigma_rad))
+        found += against_the_stage(
+            [names[view] for view in told],
+            "tilts",
+            prior.tilt_rad[told],
+            prior.tilt_sigma_rad[told],
+            per_view[told, 0],
+            tilt_covariance_rad2[np.ix_(told, told)],
+        )
     usual = [
         (1, "roll", "deg", np.rad2deg(1.0), prior.roll_sigma_rad),
         (2, "scale drift", "%", 100.0, prior.scale_sigma),
@@ -234,29 +243,62 @@ def prior_contradictions(
     return found
 
 
-def _tilts_against_the_stage(
-    names: tuple[str, ...], tilt_rad: FloatArray, sigma_rad: FloatArray, prior: MotionPrior
+def against_the_stage(
+    names: Sequence[str],
+    what: str,
+    reading_rad: FloatArray,
+    trust_rad: FloatArray,
+    found_rad: FloatArray,
+    covariance_rad2: FloatArray,
 ) -> list[str]:
-    """Name the views whose stage tilt lies more than 3 sigma from what all else says of it.
+    """Name the views of which a reading of the stage lies more than 3 sigma from what all else says of it.
 
-    A posterior is the mean of the reading and all else, weighted by their precisions: so all else can be had back.
+    A posterior is the mean of the reading and all else, weighted by their precisions: so all else can be had back. A
+    wrong reading bends what is found of its neighbours too, so the worst is taken out before the others are judged.
+
+    Parameters
+    ----------
+    names : V file names
+    what : "tilts" or "rotations"
+    reading_rad, trust_rad : (V,) float arrays
+        What the stage says, and its sigma.
+    found_rad, covariance_rad2 : (V,) and (V, V) float arrays
+        The posterior, and its covariance.
+
+    Examples
+    --------
+    Three angles that the images know to be equal; one reading bends what is found of all three:
+
+    >>> covariance = np.linalg.inv(np.eye(3) + 100 * (3 * np.eye(3) - np.ones((3, 3))))
+    >>> reading = np.array([0.0, 9.0, 0.5])
+    >>> said = against_the_stage("abc", "tilts", reading, np.ones(3), covariance @ reading, covariance)
+    >>> [text[0] for text in said]
+    ['b']
     """
-    told = np.flatnonzero(np.isfinite(prior.tilt_sigma_rad))
-    reading, trust = prior.tilt_rad[told], prior.tilt_sigma_rad[told]
-    # Where all else tells next to nothing, its precision is a difference of rounding errors.
-    precision = np.maximum(sigma_rad[told] ** -2 - trust**-2, (_LEAST_TOLD_BY_IMAGES / trust) ** 2)
-    otherwise = reading + (tilt_rad[told] - reading) * (1 + trust**-2 / precision)
-    sigma = precision**-0.5
-    beyond = np.abs(otherwise - reading) > _CONTRADICTION_IN_SIGMAS * np.hypot(sigma, trust)
-    stage, rest = (
-        [f"{tilt:.2f} +- {error:.2g} deg" for tilt, error in np.rad2deg(np.column_stack(pair)).tolist()]
-        for pair in ((reading, trust), (otherwise, sigma))
-    )
-    return [
-        f"{names[told[index]]}: the stage says {stage[index]}, the images and the other tilts say {rest[index]}; "
-        f"{_MISTYPED}"
-        for index in np.flatnonzero(beyond)
-    ]
+    found_rad, covariance_rad2 = found_rad.copy(), covariance_rad2.copy()
+    mistyped = _MISTYPED.replace("tilt", what.removesuffix("s"))
+    said: dict[int, str] = {}
+    while len(said) < len(names):
+        variance = np.diag(covariance_rad2)
+        # Where all else tells next to nothing, its precision is a difference of rounding errors.
+        precision = np.maximum(1 / variance - trust_rad**-2, (_LEAST_TOLD_BY_IMAGES / trust_rad) ** 2)
+        otherwise = reading_rad + (found_rad - reading_rad) * (1 + trust_rad**-2 / precision)
+        in_sigmas = np.abs(otherwise - reading_rad) / np.sqrt(1 / precision + trust_rad**2)
+        in_sigmas[list(said)] = 0.0
+        worst = int(np.argmax(in_sigmas))
+        if in_sigmas[worst] <= _CONTRADICTION_IN_SIGMAS:
+            break
+        stage, rest = (
+            f"{angle:.2f} +- {error:.2g} deg"
+            for angle, error in np.rad2deg(
+                [(reading_rad[worst], trust_rad[worst]), (otherwise[worst], precision[worst] ** -0.5)]
+            ).tolist()
+        )
+        said[worst] = f"{names[worst]}: the stage says {stage}, the images and the other {what} say {rest}; {mistyped}"
+        column = covariance_rad2[:, worst] / (variance[worst] * precision[worst] * trust_rad[worst] ** 2)
+        found_rad += column * (found_rad[worst] - reading_rad[worst])
+        covariance_rad2 += np.outer(column, covariance_rad2[worst])
+    return [said[view] for view in sorted(said)]
 
 
 def stage_contradictions(

@@ -117,14 +117,14 @@ def relief_sign(
             )
         return 1.0, "none", 1.0, against
     sign = -1.0 if correlation < 0 else 1.0
-    voted = "up"
-    if options.invert_relief:
-        sign, voted = -sign, "down (--invert-relief)"
-    warning = (
-        f"no stage tilt gives the sign of the relief: shading votes for what is bright to stand {voted}, confidence "
-        f"{confidence:.0%}; if hills come out as pits, run again with --invert-relief"
+    voted = (
+        "no stage tilt gives the sign of the relief: shading votes for what is bright to stand up, confidence "
+        f"{confidence:.0%}"
     )
-    return sign, "reflection", confidence, [warning]
+    if options.invert_relief:
+        turned = f"{voted}; --invert-relief turns it against that vote: if hills come out as pits, run without it"
+        return -sign, "reflection", 1 - confidence, [turned]
+    return sign, "reflection", confidence, [f"{voted}; if hills come out as pits, run again with --invert-relief"]
 
 
 def _centred_ranks(values: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from semscape.compiled import njit
 from semscape.options import SfmOptions
 from semscape.sfm.calibrate import Calibration, calibrate
+from semscape.sfm.models import PARAMETERS_PER_VIEW
 from semscape.sfm.plausibility import shared_points
 from semscape.types import FloatArray, Micrograph, Observations, TiltSeries
 
@@ -94,8 +95,8 @@ def thesis_calibration(
 ) -> tuple[Calibration, ThesisMotion]:
     """Return a calibration whose tilts are those of the thesis's route, for the stages that follow.
 
-    The reference keeps the tilt that is told; rolls, scales and translations are fitted under the tilts, which are
-    held.
+    The mean tilt is the one that is told; rolls, scales and translations are fitted under the tilts, which are held.
+    The route does not say how well they are known: their sigmas and that of the height scale are NaN.
 
     Raises
     ------
@@ -107,7 +108,19 @@ def thesis_calibration(
     offset = np.nanmean(told - found.tilt_rad) if np.isfinite(told).any() else -found.tilt_rad.mean()
     views = tuple(_told(view, float(tilt)) for view, tilt in zip(series.views, found.tilt_rad + offset, strict=True))
     held = replace(options, prior_tilt_deg=_HELD_DEG)
-    return calibrate(replace(series, views=views), observations, held, rng=rng), found
+    calibration = calibrate(replace(series, views=views), observations, held, rng=rng)
+    covariance = calibration.reconstruction.covariance.copy()
+    tilts = np.arange(1, len(covariance), PARAMETERS_PER_VIEW)
+    covariance[tilts] = covariance[:, tilts] = np.nan
+    reconstruction = replace(
+        calibration.reconstruction,
+        covariance=covariance,
+        tilt_sigma_rad=np.full(series.n_views, np.nan),
+        tilt_prior_rad=told,
+        tilt_source="thesis",
+        height_scale_relative_sigma=np.nan,
+    )
+    return replace(calibration, reconstruction=reconstruction), found
 
 
 def _told(view: Micrograph, tilt_rad: float) -> Micrograph:
