@@ -7,8 +7,10 @@ import pytest
 
 from semscape.errors import BadInputError
 from semscape.io.run_folder import RUN_FILES
+from semscape.options import Options
 from semscape.report import report_to_dict, write_run
-from synthetic_result import make_result, with_report
+from semscape.report.summary import build_report
+from synthetic_result import make_result, with_reconstruction, with_report
 
 RESULT = make_result()
 
@@ -41,3 +43,18 @@ def test_the_report_is_strict_json_with_every_table() -> None:
 def test_numpy_values_in_a_report_are_plain_in_json() -> None:
     report = report_to_dict(with_report(RESULT, metrics={"a": np.float64(1.5), "b": np.arange(2), "c": np.nan}))
     assert report["metrics"] == {"a": 1.5, "b": [0, 1], "c": None}
+
+
+def test_a_height_scale_of_unknown_error_is_not_measured() -> None:
+    unknown = with_reconstruction(RESULT, height_scale_relative_sigma=np.nan)
+    report = build_report(
+        RESULT.series,
+        unknown.reconstruction,
+        RESULT.height_map,
+        stages=(),
+        pairs=(),
+        keypoints=RESULT.keypoints,
+        options=Options(),
+        failures=(),
+    )
+    assert report.verdict.startswith("do not measure: nothing tells how well the tilts are known")
