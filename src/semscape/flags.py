@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from semscape.errors import BadInputError
-from semscape.options import MeasureOptions, Options, read_toml
+from semscape.options import KIND_OF, MeasureOptions, Options, read_toml
 
 if TYPE_CHECKING:
     from semscape.metrology.request import MeasureRequest
@@ -149,7 +149,7 @@ def _simulation_settings(settings: list[str], options: SimulationOptions) -> dic
         try:
             values[name] = _numbers("--set", text) if kinds[name] is tuple else kinds[name](text)
         except ValueError:
-            raise BadInputError(f"--set {setting!r}: {name} takes a {kinds[name].__name__}, not {text!r}") from None
+            raise BadInputError(f"--set {setting!r}: {name} takes {KIND_OF[kinds[name]]}, not {text!r}") from None
     return values
 
 

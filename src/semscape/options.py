@@ -35,6 +35,9 @@ class _Range(NamedTuple):
         return lower if math.isinf(self.most) else f"{lower} and <= {self.most:g}"
 
 
+KIND_OF = {int: "a whole number", float: "a number", str: "a word", bool: "true or false", tuple: "a list of numbers"}
+"""How messages name the kinds of values that options have."""
+
 _POSITIVE = _Range(0, above=True)
 # Those of [input] are checked by `semscape.io.acquisition`, whose messages name the images and files.
 _RANGES = {
@@ -383,8 +386,7 @@ def _coerce(name: str, default: Any, value: Any) -> Any:
         if name in _CHOICES:
             _require_known(value, _CHOICES[name], f"option {name} has no choice")
         return value
-    kind = "list of numbers" if isinstance(default, tuple) else type(default).__name__
-    raise BadInputError(f"option {name} takes a {kind}, got {value!r}")
+    raise BadInputError(f"option {name} takes {KIND_OF[type(default)]}, got {value!r}")
 
 
 def _is_number(value: Any) -> bool:

@@ -7,6 +7,8 @@ import { duration, figuresText, plural, stageText, stateText } from "./words";
 
 const MARKS = { waiting: "○", running: "◐", done: "●" };
 
+const MOST_FAILURES = 3;
+
 export class Progress {
   readonly root = el("section", { class: "card progress", "aria-labelledby": "progress-heading" });
   private readonly heading = el("h2", { id: "progress-heading" });
@@ -14,6 +16,7 @@ export class Progress {
   private readonly spoken = el("p", { class: "unseen", "aria-live": "polite" });
   private readonly picture = el("div", { class: "preview-place" });
   private asked = "";
+  private failures = 0;
 
   constructor() {
     this.root.append(this.heading, this.spoken, el("div", { class: "beside" }, this.stages, this.picture));
@@ -44,7 +47,7 @@ export class Progress {
     const current = run.stages.find((stage) => stage.state === "running");
     const said = current ? stageText(current) : "";
     if (this.spoken.textContent !== said) this.spoken.textContent = said;
-    if (run.has_preview && this.asked !== run.name) void this.preview(run.name);
+    if (run.has_preview && this.asked !== run.name && this.failures < MOST_FAILURES) void this.preview(run.name);
   }
 
   private async preview(name: string): Promise<void> {
@@ -57,8 +60,13 @@ export class Progress {
         new Preview(points).canvas,
         el("p", { class: "quiet" }, `Preview: ${plural(points.length / 3, "sparse point")}; drag or use the arrow keys to turn.`),
       );
-    } catch {
-      this.asked = ""; // The run has ended meanwhile: its surface is shown instead.
+      this.failures = 0;
+    } catch (error) {
+      // The run may have ended meanwhile, and its surface is shown instead; else one more try may do.
+      this.asked = "";
+      this.failures += 1;
+      if (this.failures === MOST_FAILURES)
+        fill(this.picture, el("p", { class: "quiet" }, `No preview of the sparse points: ${(error as Error).message}`));
     }
   }
 }
