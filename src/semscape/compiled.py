@@ -46,9 +46,7 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Function], Functio
     def compiled(function: Function) -> Function:
         kernel: Any = numba.njit(**options)(function)
         if cache:
-            with suppress(
-                RuntimeError
-            ):  # neither the package's folder nor the user's can be written: there is no cache
+            with suppress(RuntimeError):  # no cache where neither the package's folder nor the user's can be written
                 kernel.enable_caching()
                 kernel._cache._cache_file.__class__ = FilePerType
         return cast(Function, kernel)
