@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import types
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +51,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     # The page and its pictures have their own tests, and take half a second.
     monkeypatch.setattr("semscape.report.run.render_html", lambda _: "<!DOCTYPE html>")
-    monkeypatch.setitem(sys.modules, "semscape.pipeline", types.SimpleNamespace(reconstruct=reconstruct))
+    monkeypatch.setattr("semscape.batch.folder_run.reconstruct", reconstruct)
     return asked
 
 
