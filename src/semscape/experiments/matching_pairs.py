@@ -57,7 +57,9 @@ def simulated_pair(setting: Setting, thresholds_px: tuple[float, ...]) -> tuple[
     )
     images = series.views[pair[0]].image, series.views[pair[1]].image
     shown = [(f"{name}: {fit.inliers.sum()} inliers", fit.inliers) for name, fit in (fits[0], fits[-1])]
-    picture = drawn_png((10.0, 10.0), lambda figure: _draw(figure, images, x1, x2, known, right, shown))
+    picture = drawn_png(
+        (10.0, 10.0), lambda figure: _draw(figure, images, x1, x2, known, right, shown), dpi=100, colours=128
+    )
     return table, Figure(
         "matching_thresholds",
         "The same pair with a fixed threshold and a contrario",
