@@ -86,14 +86,19 @@ def main() -> None:
     seconds = time.perf_counter() - start
     moments = random.Random(5)
     n_killed = 0
-    for _ in range(10):
+    for _ in range(30):
         share = moments.uniform(0.0, 0.8)
         child = in_child()
         time.sleep(share * seconds)
         os.kill(child, signal.SIGKILL)
-        n_killed += ended(child) == -signal.SIGKILL
+        if ended(child) == -signal.SIGKILL:
+            n_killed += 1
+        else:
+            seconds *= 0.7  # it had ended before: the machine has less else to do than when the time was taken
         require_the_same(expected, f"after {share:.2f} of its time")
-    assert n_killed >= 5, n_killed
+        if n_killed == 10:
+            break
+    assert n_killed == 10, n_killed
 
     for _ in range(5):  # again and again in one run, which gets on all the same
         child = in_child()

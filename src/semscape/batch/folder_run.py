@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from semscape.batch.input_files import FileStates, file_states, require_unchanged
-from semscape.batch.memory_lack import lack_of_memory_told
+from semscape.batch.memory_lack import Progress, lack_of_memory_told
 from semscape.cluster import Mapper
 from semscape.errors import SemscapeError, StorageError
 from semscape.io.lock import FolderLock
@@ -27,8 +27,6 @@ from semscape.pipeline import reconstruct
 from semscape.report.memory import PeakMemory
 from semscape.report.run import write_run
 from semscape.types import Result, StageReport, TiltSeries
-
-Progress = Callable[[str, dict[str, Any] | None], None]
 
 _log = logging.getLogger("semscape.run")
 
@@ -65,19 +63,16 @@ def reconstruct_folder(
         If an input cannot be used, or changes meanwhile, if the images give no answer, if the run folder is in use or
         cannot be written, or if the memory does not suffice.
     """
-    stage = "load"
 
-    def follow(name: str, figures: dict[str, Any] | None) -> None:
-        nonlocal stage
+    def logged(name: str, figures: dict[str, Any] | None) -> None:
         if figures is None:
-            stage = name
             _log.info("stage %s begins", name, extra={"stage": name})
         else:
             _log.info("stage %s ended", name, extra={"stage": name, "figures": figures})
         if progress:
             progress(name, figures)
 
-    with lack_of_memory_told(lambda: stage):
+    with lack_of_memory_told(logged) as follow:
         states = file_states(folder)
         series = load_series(folder, options.input)
         if on_series:

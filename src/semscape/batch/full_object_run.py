@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-from semscape.batch.folder_run import Progress
 from semscape.batch.input_files import file_states, require_unchanged
-from semscape.batch.memory_lack import lack_of_memory_told
+from semscape.batch.memory_lack import Progress, lack_of_memory_told
 from semscape.dense.full_object import FullObject
 from semscape.io.lock import FolderLock
 from semscape.io.run_folder import make_folder, prepare_run_folder
@@ -29,16 +27,7 @@ def reconstruct_object_folder(
         If an input cannot be used, or changes meanwhile, if the images give no answer, if the run folder is in use or
         cannot be written, or if the memory does not suffice.
     """
-    stage = "load"
-
-    def follow(name: str, figures: dict[str, Any] | None) -> None:
-        nonlocal stage
-        if figures is None:
-            stage = name
-        if progress:
-            progress(name, figures)
-
-    with lack_of_memory_told(lambda: stage):
+    with lack_of_memory_told(progress) as follow:
         states = file_states(folder)
         series = load_series(folder, options.input)
         with FolderLock(make_folder(output)):

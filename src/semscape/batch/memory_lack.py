@@ -5,8 +5,11 @@ from __future__ import annotations
 import errno
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from semscape.errors import OutOfMemoryError
+
+Progress = Callable[[str, dict[str, Any] | None], None]
 
 _REDUCE = {
     "load": "fewer or smaller images",
@@ -20,22 +23,33 @@ _REDUCE = {
 
 
 @contextmanager
-def lack_of_memory_told(stage: Callable[[], str]) -> Iterator[None]:
+def lack_of_memory_told(progress: Progress | None) -> Iterator[Progress]:
     """Turn what is a lack of memory, in the words of any library, into one message with the stage and what to reduce.
+
+    Yields what is to be told of the stages in place of `progress`, which is told of them in turn.
 
     Raises
     ------
     OutOfMemoryError
         Instead of `MemoryError` and its like; every other error passes.
     """
+    stage = "load"
+
+    def follow(name: str, figures: dict[str, Any] | None) -> None:
+        nonlocal stage
+        if figures is None:
+            stage = name
+        if progress:
+            progress(name, figures)
+
     try:
-        yield
+        yield follow
     except Exception as error:
         if not _is_lack(error):
             raise
-        less = _REDUCE.get(stage(), "smaller images")
+        less = _REDUCE.get(stage, "smaller images")
         raise OutOfMemoryError(
-            f"out of memory in stage {stage()}; fewer --workers, more --memory-mb, or {less}"
+            f"out of memory in stage {stage}; fewer --workers, more --memory-mb, or {less}"
         ) from error
 
 

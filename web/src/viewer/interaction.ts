@@ -18,14 +18,18 @@ export interface EyeMoves {
   home(eye: Eye): Eye;
 }
 
-/** A wheel scrolls the page, unless the view has been clicked or Ctrl is held. */
-export function wheelIsMeant(canvas: HTMLCanvasElement, event: WheelEvent): boolean {
-  return event.ctrlKey || event.metaKey || document.activeElement === canvas;
-}
-
-export function wheelFactor(event: WheelEvent): number {
-  const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
-  return Math.exp(Math.min(1, Math.max(-1, event.deltaY * lines * 0.0016)));
+/** Zoom by the wheel, which scrolls the page unless the view has been clicked or Ctrl is held. */
+export function onWheel(canvas: HTMLCanvasElement, zoom: (factor: number, event: WheelEvent) => void): void {
+  canvas.addEventListener(
+    "wheel",
+    (event) => {
+      if (!event.ctrlKey && !event.metaKey && document.activeElement !== canvas) return;
+      event.preventDefault();
+      const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
+      zoom(Math.exp(Math.min(1, Math.max(-1, event.deltaY * lines * 0.0016))), event);
+    },
+    { passive: false },
+  );
 }
 
 /** Return the number of the mark that is at a place of a view in CSS px, -1 for none. */
@@ -109,17 +113,11 @@ export function watchView(view: View3D, viewer: Viewer, eyes: EyeMoves): void {
   canvas.addEventListener("pointerleave", () => {
     if (!pointers.size) viewer.setCursor(null);
   });
-  canvas.addEventListener(
-    "wheel",
-    (event) => {
-      if (!wheelIsMeant(canvas, event)) return;
-      event.preventDefault();
-      const { x, y } = here(event);
-      const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-      setEye(eyes.zoomed(viewer.settings().eye, wheelFactor(event), (2 * x) / width - 1, 1 - (2 * y) / height, width / height));
-    },
-    { passive: false },
-  );
+  onWheel(canvas, (factor, event) => {
+    const { x, y } = here(event);
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+    setEye(eyes.zoomed(viewer.settings().eye, factor, (2 * x) / width - 1, 1 - (2 * y) / height, width / height));
+  });
   canvas.addEventListener("keydown", (event) => {
     const { eye } = viewer.settings();
     const [right, up] = arrow(event);

@@ -1,6 +1,6 @@
 /** Pointer, wheel and keys over the map. */
 
-import { arrow, CLICK_PX, closes, handleAt, markKey, wheelFactor, wheelIsMeant } from "./interaction";
+import { arrow, CLICK_PX, closes, handleAt, markKey, onWheel } from "./interaction";
 import type { Map2D } from "./map2d";
 import { openPlaces, withMoved } from "./marks";
 import type { Viewer } from "./mount";
@@ -74,16 +74,10 @@ export function watchMap(map: Map2D, viewer: Viewer): void {
   canvas.addEventListener("pointerup", lift);
   canvas.addEventListener("pointercancel", lift);
   canvas.addEventListener("pointerleave", () => viewer.setCursor(null));
-  canvas.addEventListener(
-    "wheel",
-    (event) => {
-      if (!wheelIsMeant(canvas, event)) return;
-      event.preventDefault();
-      const { x, y } = here(event);
-      map.zoomBy(1 / wheelFactor(event), x, y);
-    },
-    { passive: false },
-  );
+  onWheel(canvas, (factor, event) => {
+    const { x, y } = here(event);
+    map.zoomBy(1 / factor, x, y);
+  });
   canvas.addEventListener("keydown", (event) => {
     const [right, up] = arrow(event);
     const { rows, cols } = viewer.surface;
