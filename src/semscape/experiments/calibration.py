@@ -160,7 +160,7 @@ def run(setting: Setting) -> Experiment:
         question="How near do the recovered tilts come to the true ones, and do the stated 95 % intervals hold them? "
         f"{count} simulated series per case: 2000 tracks, 0.3 px noise, 10 % wrong observations, scale drift 0.1 %, "
         f"roll 0.2 deg; stage readings err by 0.1 deg, anisotropy is {100 * ANISOTROPY:g} % where named.",
-        thesis="section 3.5, recovered tilt against the stage's",
+        thesis="section 3.5: recovered tilt against the stage's; not published here",
         tables=(table, every),
         figures=(
             Figure(
