@@ -269,12 +269,26 @@ def test_inspect_names_what_is_wrong(tmp_path: Path) -> None:
         (["--set", "drift_px"], "the form is KEY=VALUE"),
         (["--set", "drift_px=much"], "drift_px takes a number, not 'much'"),
         (["missing.stl"], "there is no such file"),
+        (["--size", "40000"], "at most 36 megapixels"),
+        (["--set", "samples=1000"], "samples must be within 1 and 16"),
+        (["--pixel-size-um", "1e300"], "pixel_size_um must be within 1e-06 and 1e+06 um"),
     ],
 )
 def test_bad_simulations_end_with_2(tmp_path: Path, arguments: list[str], message: str) -> None:
     done = run("simulate", *arguments, "-o", tmp_path / "series")
     assert done.exit_code == 2
     assert message in done.stderr
+
+
+def test_simulate_looks_at_the_folder_before_it_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("semscape.simulate.acquire", lambda **_: pytest.fail("worked for nothing"))
+    (tmp_path / "thesis.txt").touch()
+    done = run("simulate", "vickers", "-o", tmp_path)
+    assert (done.exit_code, "thesis.txt" in done.stderr) == (2, True)
+    monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere
+    done = run("simulate", "vickers", "-o", tmp_path / "new" / "folder")
+    assert done.exit_code == 2
+    assert f"no permission to write in {tmp_path}" in done.stderr
 
 
 def test_simulate_writes_a_series_that_inspect_understands(tmp_path: Path) -> None:

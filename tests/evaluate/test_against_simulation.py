@@ -145,6 +145,11 @@ def test_tilt_and_roll_errors_are_told() -> None:
     assert told["relative_rotation_error_deg"] == pytest.approx([0.3, 0, 0.4], abs=1e-6)
     assert told["relative_rotation_rms_error_deg"] == pytest.approx(np.sqrt((0.3**2 + 0.4**2) / 2), abs=1e-4)
     assert told["stage_tilt_rms_error_deg"] == 0
+    # Tilts spread by 5 % too little make all heights 5 % too large, to first order.
+    narrow = replace(true.motion, tilt_rad=true.motion.tilt_rad / 1.05 + 0.01)
+    assert tilt_figures(narrow, 1, true)["height_scale_error_of_tilts_percent"] == pytest.approx(5)
+    level = replace(true.motion, tilt_rad=0 * true.motion.tilt_rad)
+    assert np.isnan(tilt_figures(level, 1, true)["height_scale_error_of_tilts_percent"])
 
 
 def test_the_surface_figures_of_a_whole_result() -> None:

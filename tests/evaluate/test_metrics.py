@@ -144,6 +144,14 @@ def test_outliers_do_not_pull_the_alignment() -> None:
     np.testing.assert_allclose(fitted.apply(vertices), vertices - [0, 0, 0.3], atol=0.01)
 
 
+def test_a_result_unlike_the_truth_does_not_shrink_to_a_point_of_it() -> None:
+    vertices, faces = sheet(hills)
+    noise = vertices + RNG.normal(0, 6.0, (len(vertices), 1)) * [0.0, 0.0, 1.0]
+    figures = surface_figures(make_surface(noise, faces), make_surface(vertices, faces), "similarity", UNITS)
+    assert figures["scale"] == 1.0
+    assert figures["rmse_um"] > 1.0
+
+
 def test_a_cloud_has_distances_but_no_normals() -> None:
     truth = make_surface(*sheet(lambda x, y: 0 * x))
     cloud = Cloud(np.column_stack([RNG.uniform(-5, 5, (4000, 2)), np.full(4000, 0.3)]))

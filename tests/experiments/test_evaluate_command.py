@@ -68,6 +68,12 @@ def test_a_truth_of_another_series_or_none_is_told(folders: tuple[Path, Path], t
     assert "holds no readable truth" in call("evaluate", run, "--truth", tmp_path, code=2)
     call("simulate", "face", "-o", tmp_path / "other", "--tilts=-4,0,5", "--size", 64, "-q")
     assert "is not one of the series" in call("evaluate", run, "--truth", tmp_path / "other", code=2)
+    # The same tilts, so the same names; only the images tell that it is another specimen.
+    call("simulate", "pollen", "-o", tmp_path / "like", "--views", 3, "--step", 6, "--size", 160, "--seed", 2, "-q")
+    assert "was made from another view_00_-06.00deg.tif" in call(
+        "evaluate", run, "--truth", tmp_path / "like", "-o", tmp_path, code=2
+    )
+    assert not (tmp_path / "height_error.png").exists()
     assert "is not a mesh file" in call("evaluate", run, "--truth", tmp_path / "truth.xyz", code=2)
     assert "height_map.npz" in call("evaluate", tmp_path, "--truth", tmp_path / "other", code=2)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -128,6 +129,16 @@ def test_every_experiment_of_the_registry_is_there() -> None:
     for name, target in EXPERIMENTS.items():
         module, function = target.split(":")
         assert callable(getattr(import_module(module), function)), name
+
+
+def test_the_docs_tell_the_experiments_in_the_order_of_the_thesis_with_its_figures() -> None:
+    page = json.loads((Path(__file__).parents[2] / "docs" / "experiments.json").read_text(encoding="utf-8"))
+    told = {item["name"]: item["thesis"] for item in page["experiments"]}
+    assert list(told) == list(EXPERIMENTS)
+    last = [re.findall(r"\d\.\d", text)[-1] for text in told.values()]
+    assert last == sorted(last)
+    assert "3119 inliers a contrario, 2207 with a fixed threshold" in told.pop("matching")
+    assert all(text.endswith("not published here") for text in told.values())
 
 
 def test_among_all_a_failure_is_a_note_and_alone_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,6 +76,25 @@ def test_header_tells_the_scan_rotation_as_the_microscope_does(tmp_path: Path) -
         assert metadata.raw["DP_DETECTOR_TYPE"] == "Detector = SE2"
 
 
+@pytest.mark.parametrize(
+    ("axis_deg", "axis", "tilted"),
+    [
+        (0.0, "Tilt Axis =   0.0 °", "In Y"),
+        (90.0, "Tilt Axis =  90.0 °", "in X"),
+        (-30.0, "Tilt Axis = 330.0 °", "in X"),
+    ],
+)
+def test_header_tells_the_tilt_axis_as_the_microscope_does(
+    tmp_path: Path, axis_deg: float, axis: str, tilted: str
+) -> None:
+    options = replace(OPTIONS, axis_deg=axis_deg, width_px=32, height_px=32)
+    loaded = load_series(write_simulated_series(tmp_path / "out", *simulate("spheres", options)))
+    raw = loaded.views[0].metadata.raw
+    assert (raw["AP_TILT_AXIS"], raw["DP_STAGE_TILTED"]) == (axis, f"Stage Tilt = {tilted}")
+    # About a horizontal axis, and about no other, the sign of a Zeiss stage is known.
+    assert any("the sign of this Zeiss stage's tilt is assumed" in text for text in loaded.warnings) == (axis_deg != 0)
+
+
 def test_a_mesh_is_written_whole_and_empty_places_are_unknown(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
     specimen = MeshSpecimen("ball", np.asarray(ball.vertices), np.asarray(ball.faces))

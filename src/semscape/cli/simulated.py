@@ -137,10 +137,11 @@ def simulate_into(
 
     With `fit` a specimen from a file is magnified until it fills the image.
     """
-    from semscape.io.simulated import write_simulated_series
+    from semscape.io.simulated import require_own, write_simulated_series
     from semscape.io.specimens import read_surface
     from semscape.simulate import acquire, fit_pixel_size, specimen_from_surface
 
+    require_own(folder)  # before the work, not after it
     given: dict[str, Any] = {} if specimen is None else {"specimen": specimen}
     given |= {} if seed is None else {"rng": seed}
     if specimen is not None and Path(specimen).suffix:  # no built-in name has a dot

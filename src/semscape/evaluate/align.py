@@ -17,6 +17,9 @@ ALIGNMENTS: tuple[AlignmentKind, ...] = ("none", "rigid", "similarity")
 _CLIPPING_ROUNDS = 8
 _MAX_ITERATIONS = 40
 _TOLERANCE = 1e-5
+# A similarity that leaves the scale where it began by more than this factor has found nothing: a result shrunk to a
+# point of the surface has no distance from it.
+_MOST_RESCALED = 2.0
 # Tukey's usual constant: 95 % efficiency for normal errors.
 _TUKEY = 4.685
 _MAD_TO_SIGMA = 1.4826
@@ -111,14 +114,16 @@ def align_to_surface(
     Returns
     -------
     Alignment
-        What neither surface determines (a turn of a sphere, a shift along a plane) is left as at the start.
+        What neither surface determines (a turn of a sphere, a shift along a plane) is left as at the start; so is all
+        of a similarity that does not settle within a factor of two of the scale it began with.
 
     References
     ----------
     Y. Chen & G. Medioni, "Object modelling by registration of multiple range images", Image and Vision Computing 10
     (1992), doi:10.1016/0262-8856(92)90066-C.
     """
-    current = identity() if start is None else start
+    begun = identity() if start is None else start
+    current = begun
     if kind == "none":
         return current
     size = float(np.linalg.norm(points_um - points_um.mean(axis=0), axis=1).mean()) * current.scale
@@ -142,6 +147,8 @@ def align_to_surface(
         current = Alignment(
             current.scale * scale, turn @ current.rotation, scale * turn @ current.translation_um + shift
         )
+        if abs(np.log(current.scale / begun.scale)) > np.log(_MOST_RESCALED):
+            return begun
         if np.abs(step).max() < _TOLERANCE:
             break
     return current

@@ -1,10 +1,10 @@
 """Errors of a height map against the exact truth of a simulated series, point by point in its grid.
 
 The result is laid over the truth by what a user cannot choose: both are seen by the same reference view, so a
-point of our grid belongs to the point of the true surface that the true camera images at the same pixel. No
-scale is fitted, but for the shape error, which is free of it. What the images of a tilt series cannot tell is
-taken out of the height errors: the origin of the heights, and a common turn of all views, which leans the whole
-surface. To first order that is a plane.
+point of our grid belongs to the point of the true surface that the true camera images at the same pixel, its skew and
+perspective left out: what a result does not undo of them is an error of its own. No scale is fitted, but for the shape
+error, which is free of it. What the images of a tilt series cannot tell is taken out of the height errors: the origin
+of the heights, and a common turn of all views, which leans the whole surface. To first order that is a plane.
 """
 
 from __future__ import annotations

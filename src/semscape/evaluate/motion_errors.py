@@ -47,6 +47,10 @@ def tilt_figures(motion: Motion, reference: int, truth: SimulationTruth) -> dict
     true_tilt = np.rad2deg(truth.motion.tilt_rad)
     design = np.column_stack([np.ones(len(error)), true_tilt - true_tilt.mean()])
     seen_by_images = error - design @ np.linalg.lstsq(design, error, rcond=None)[0]
+    # Heights are as much too large as the tilts' spread is too small.
+    spread = true_tilt - true_tilt.mean()
+    found_spread = float(np.rad2deg(motion.tilt_rad) @ spread)
+    scale = float(spread @ spread) / found_spread if found_spread else np.nan
     rotation, relative = (np.rad2deg(item) for item in rotation_errors_rad(motion, reference, truth.motion))
     others = np.delete(relative, reference)
     return {
@@ -56,6 +60,7 @@ def tilt_figures(motion: Motion, reference: int, truth: SimulationTruth) -> dict
         "tilt_rms_error_deg": rounded(_rms(error), 4),
         "tilt_step_rms_error_deg": rounded(_rms(np.diff(error)), 4),
         "largest_tilt_error_that_images_show_deg": rounded(float(np.abs(seen_by_images).max()), 4),
+        "height_scale_error_of_tilts_percent": rounded(100 * (scale - 1), 4),
         "stage_tilt_error_deg": _list(stage),
         "stage_tilt_rms_error_deg": rounded(_rms(stage), 4),
         "stage_tilt_step_rms_error_deg": rounded(_rms(np.diff(stage)), 4),

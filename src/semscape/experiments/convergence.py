@@ -77,7 +77,7 @@ def run(setting: Setting) -> Experiment:
         question="How many generations does Differential Evolution need, does every seed end at the same motion, and "
         f"what do the search and the refinement give alone? {len(TILTS_DEG)} views 3 deg apart, 2000 tracks, 0.3 px "
         "noise, 10 % wrong observations, scale drift 0.1 %, roll 0.2 deg.",
-        thesis="section 3.6, best cost against the number of generations",
+        thesis="section 3.6: best cost against the number of generations; not published here",
         tables=(end_table, curve_table),
         figures=(
             Figure(

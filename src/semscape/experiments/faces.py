@@ -84,7 +84,9 @@ def run(setting: Setting) -> Experiment:
     """Take series of every face, reconstruct them with every method, and compare with the truth."""
     faces = find_faces(setting.data)
     notes = ["One series per case: single figures scatter with the draw of the stage errors."]
-    if len(faces) == 1:
+    if len(faces) > 1:
+        notes.append(f"Scanned heads: {_USUAL_VIEWS} views, or steps of {_USUAL_STEP_DEG:g} deg, alone.")
+    else:
         notes.append("The scanned heads were not there (--data DIR with a folder meshes): left out.")
     rows: list[tuple[Any, ...]] = []
     for face, path in faces.items():
@@ -196,6 +198,8 @@ def _figure(rows: list[tuple[Any, ...]]) -> Figure:
     colours = dict(zip(METHODS, (ACCENT, WARM, INK), strict=False))
 
     def draw(figure: Drawing) -> None:
+        from matplotlib.ticker import LogLocator
+
         panels = figure.subplots(2, 2, sharey="row", sharex="col")
         varied: tuple[tuple[str, dict[str, float], str], ...] = (
             ("views", {"step": _USUAL_STEP_DEG}, f"views, steps of {_USUAL_STEP_DEG:g} deg"),
@@ -220,10 +224,11 @@ def _figure(rows: list[tuple[Any, ...]]) -> Figure:
                     axes.plot(_selected(rows, along, **where), y, label=name, **style)
                 axes.grid(color=INK, alpha=0.25, linewidth=0.5)
                 axes.spines[["top", "right"]].set_visible(False)
-        panels[0][0].set_ylim(bottom=0)
-        panels[1][0].set_yscale("log")
-        panels[1][0].yaxis.set_major_formatter("{x:g}")
-        panels[1][0].yaxis.set_minor_formatter("{x:g}")
+        for axes in panels[:, 0]:  # the methods lie decades apart
+            axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter("")
         panels[0][0].set_ylabel("rotation error (deg)")
         panels[1][0].set_ylabel("height rmse (% of relief)")
         figure.legend(loc="outside lower center", ncols=2, fontsize=8)

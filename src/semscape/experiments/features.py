@@ -57,7 +57,7 @@ def run(setting: Setting) -> Experiment:
             "are matched by mutual nearest neighbours with the ratio test and verified a contrario. On simulated "
             f"series a match is right within {TOLERANCE_PX:g} px of where the true cameras and heights put it."
         ),
-        thesis="2.4, the choice of the descriptor",
+        thesis="section 2.4: the choice of the descriptor; not published here",
         tables=tuple(tables),
         figures=(_bars(figures),),
         notes=tuple(notes),

@@ -11,16 +11,16 @@ from semscape.errors import BadInputError, SemscapeError
 from semscape.experiments.study import Experiment, Setting
 
 ALL = "all"
-# Section 2 of the thesis, then 3.4 to 3.8. A module is imported when its experiment runs.
+# Sections 2.3 and 2.4 of the thesis, then 3.4 to 3.8. A module is imported when its experiment runs.
 EXPERIMENTS: Mapping[str, str] = MappingProxyType(
     {
-        "features": "semscape.experiments.features:run",
         "matching": "semscape.experiments.matching:run",
+        "features": "semscape.experiments.features:run",
         "surfaces": "semscape.experiments.surfaces:run",
         "calibration": "semscape.experiments.calibration:run",
         "convergence": "semscape.experiments.convergence:run",
-        "faces": "semscape.experiments.faces:run",
         "significance": "semscape.experiments.significance:run",
+        "faces": "semscape.experiments.faces:run",
     }
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from semscape.evaluate.distances import surface_figures
 from semscape.evaluate.run import evaluate
 from semscape.evaluate.surface import make_surface
 from semscape.evaluate.units import Units
+from semscape.io.finished_run import input_digests
 from semscape.io.mesh_file import read_mesh
 from semscape.io.run_folder import put_files, read_motion
 from semscape.io.simulated import truth_of_views
@@ -52,15 +54,28 @@ def evaluate_run(run: Path, truth: Path, output: Path) -> tuple[dict[str, Any], 
     if not truth.is_dir():
         return where | _against_mesh(run, height_map, truth), None
     motion, reference, names = read_motion(run)
+    true = truth_of_views(truth, names)
+    _require_same_images(run, truth)
     found = evaluate(
         height_map,
         motion,
         reference,
-        truth_of_views(truth, names),
+        true,
         mesh=None if height_map.length_unit == "px" else read_mesh(run / "mesh.ply"),
     )
     put_files({PICTURE: error_picture(height_map, found.heights.error_um)}, output)
     return where | found.figures, output / PICTURE
+
+
+def _require_same_images(run: Path, truth: Path) -> None:
+    """Refuse the truth of other images: simulated series of the same tilts name their images alike."""
+    for name, digest in input_digests(run).items():
+        path = truth / name
+        if digest and path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            raise BadInputError(
+                f"{run} was made from another {name} than the one beside the truth in {truth}; give the folder that "
+                "was reconstructed, or reconstruct it again"
+            )
 
 
 def _against_mesh(run: Path, height_map: HeightMap, truth: Path) -> dict[str, Any]:

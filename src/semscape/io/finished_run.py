@@ -79,7 +79,7 @@ def read_finished_views(folder: Path | str) -> FinishedViews:
     path = Path(folder)
     motion, reference, names = read_motion(path)
     try:
-        digests = {image["name"]: image["digest"] for image in _read_json(path / "report.json")["inputs"]}
+        digests = input_digests(path)
         return FinishedViews(
             names=names,
             digests=tuple(digests[name] for name in names),
@@ -91,6 +91,21 @@ def read_finished_views(folder: Path | str) -> FinishedViews:
         raise BadInputError(
             f"{path} is not a complete run folder: {error!r}; run semscape reconstruct again"
         ) from error
+
+
+def input_digests(folder: Path | str) -> dict[str, str]:
+    """Return the SHA-256 of the files of a run's images by their names; empty where the run does not tell them.
+
+    Raises
+    ------
+    BadInputError
+        If report.json cannot be read.
+    """
+    path = Path(folder) / "report.json"
+    try:
+        return {image["name"]: image["digest"] for image in _read_json(path).get("inputs", [])}
+    except (KeyError, TypeError) as error:
+        raise BadInputError(f"{path} does not list its images: {error!r}; run semscape reconstruct again") from error
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -73,7 +73,7 @@ def write_simulated_series(
         If the folder is a file, holds other files, or cannot be written.
     """
     path = Path(folder).resolve()
-    _require_own(path)
+    require_own(path)
     views = {view.name: _encode_view(view) for view in series.views}
     parts = {view.name: _encode_view(view) for each in segments for view in each.views}
     told = {
@@ -173,8 +173,18 @@ def truth_of_views(folder: Path | str, names: tuple[str, ...]) -> SimulationTrut
     return truth.select(tuple(known.index(name) for name in names))
 
 
-def _require_own(path: Path) -> None:
-    """Refuse a path that holds anything but an earlier simulation."""
+def require_own(folder: Path | str) -> None:
+    """Refuse a folder that holds anything but an earlier simulation, or that this process may not write.
+
+    Raises
+    ------
+    BadInputError
+        With what stands in the way.
+    """
+    path = Path(folder).resolve()
+    there = next(place for place in (path, *path.parents) if place.exists())
+    if there.is_dir() and not os.access(there, os.W_OK | os.X_OK):
+        raise BadInputError(f"the simulation cannot be written to {path}: no permission to write in {there}")
     try:
         if path.exists() and not path.is_dir():
             raise BadInputError(f"the output folder {path} cannot be made: a file stands in its place")
@@ -285,7 +295,7 @@ def zeiss_text(view: Micrograph) -> str:
         f"{distance * 1e-6:.6e}",
     ]
     pairs = {
-        "DP_STAGE_TILTED": "Stage Tilt = in X",
+        "DP_STAGE_TILTED": metadata.raw.get("DP_STAGE_TILTED", "Stage Tilt = in X"),
         "DP_TILTED": f"Stage Tilted = {'No' if metadata.tilt_rad == 0 else 'Yes'}",
         "DP_IMAGE_STORE": f"Store resolution = {width} * {height}",
         "DP_DETECTOR_CHANNEL": detector.replace("Detector", "Signal A"),
@@ -294,7 +304,7 @@ def zeiss_text(view: Micrograph) -> str:
         "DP_SCAN_ROT": f"Scan Rot = {'Off' if rotation == 0 else 'On'}",
         "AP_MAG": f"Mag = {metadata.magnification:6.0f} X",
         "AP_TILT_ANGLE": "Tilt Angle =  45.0 °",
-        "AP_TILT_AXIS": "Tilt Axis =  90.0 °",
+        "AP_TILT_AXIS": metadata.raw.get("AP_TILT_AXIS", "Tilt Axis =  90.0 °"),
         "AP_SCANROTATION": f"Scan Rotation = {_decimals(rotation, 1):>5} °",
         "AP_MANUALKV": f"EHT Target = {voltage:5.2f} kV",
         "AP_PIXEL_SIZE": f"Pixel Size = {_length(pixel * width / 1024)}",

@@ -48,8 +48,10 @@ def read_surface(path: Path | str) -> SurfaceMesh | HeightMap:
     if suffix in MESH_SUFFIXES:
         return read_mesh(path)
     height, dx, dy = _read_npz(path) if suffix == ".npz" else _read_tiff(path)
-    if height.ndim != 2 or min(height.shape) < 2 or not np.isfinite(height).any():
+    if height.ndim != 2 or min(height.shape) < 2:
         raise BadInputError(f"{path}: a height map needs rows and columns of heights, got the shape {height.shape}")
+    if not np.isfinite(height).any():
+        raise BadInputError(f"{path}: none of the {height.size} heights is a number")
     if not (0 < dx < math.inf and 0 < dy < math.inf):
         raise BadInputError(f"{path}: the distance of the nodes must be positive, got {dx:g} and {dy:g} um")
     height = np.where(np.isfinite(height), height, np.nan)

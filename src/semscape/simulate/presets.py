@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
@@ -12,6 +11,10 @@ import numpy as np
 from semscape.simulate.detectors import DETECTORS
 
 MAX_TILT_DEG = 75.0
+# A specimen under more pixels than these takes some 16 GB; more rays than these per pixel show nothing more.
+MAX_PIXELS, MAX_SAMPLES = 36_000_000, 16
+# From a picometre to a metre.
+_PIXEL_SIZES_UM = 1e-6, 1e6
 
 
 @dataclass(frozen=True)
@@ -123,10 +126,16 @@ class SimulationOptions:
     def __post_init__(self) -> None:
         if not self.tilts_deg or not all(abs(tilt) <= MAX_TILT_DEG for tilt in self.tilts_deg):
             raise ValueError(f"tilts_deg must be within +-{MAX_TILT_DEG:g} degrees, got {self.tilts_deg}")
-        if min(self.width_px, self.height_px - self.data_bar_rows) < 16 or self.samples < 1:
-            raise ValueError("the image needs at least 16 x 16 px above its data bar and samples >= 1")
-        if not (math.isfinite(self.pixel_size_um) and self.pixel_size_um > 0):
-            raise ValueError(f"pixel_size_um must be positive, got {self.pixel_size_um}")
+        if min(self.width_px, self.height_px - self.data_bar_rows) < 16 or self.width_px * self.height_px > MAX_PIXELS:
+            raise ValueError(
+                f"the image needs at least 16 x 16 px above its data bar, and at most {MAX_PIXELS / 1e6:g} megapixels, "
+                f"got {self.width_px} x {self.height_px} px with a bar of {self.data_bar_rows}"
+            )
+        if not 1 <= self.samples <= MAX_SAMPLES:
+            raise ValueError(f"samples must be within 1 and {MAX_SAMPLES}, got {self.samples}")
+        least, most = _PIXEL_SIZES_UM
+        if not least <= self.pixel_size_um <= most:  # NaN is not either
+            raise ValueError(f"pixel_size_um must be within {least:g} and {most:g} um, got {self.pixel_size_um:g}")
         if self.detector not in DETECTORS:
             raise ValueError(f"detector must be one of {', '.join(DETECTORS)}, got {self.detector!r}")
         for name in ("segment_elevation_deg", "atomic_number"):

@@ -46,7 +46,7 @@ class Scene:
         """The specimen, ready for beams."""
         if isinstance(self.specimen, Specimen):
             return ReliefSurface(self.specimen, self.options)
-        return MeshSurface(self.specimen, self.options, self.workers)
+        return MeshSurface(self.specimen, self.options)
 
     @property
     def segments(self) -> tuple[Segment, ...]:
@@ -188,7 +188,7 @@ def truth_grid(scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray]:
     position, place = scene.surface.cast(above, _DOWN)
     normals = np.full(position.shape, np.nan)
     met = ~np.isnan(position[:, 2])
-    normals[met] = scene.surface.attributes(place[met])[:, NORMAL]
+    normals[met] = scene.surface.normals(place[met])
     normals = normals.astype(np.float32).astype(np.float64)
     shape = height_px, width_px
     return position[:, 2].reshape(shape), normals.reshape(*shape, 3), world_from_grid

@@ -289,6 +289,10 @@ def _micrograph(image: ImageArray, view: int, suffix: str, tilt_deg: float, opti
         data_bar_rows=options.data_bar_rows,
         vendor="Zeiss",
         source=dict.fromkeys(_KNOWN, "file"),
-        raw={"DP_DETECTOR_TYPE": "Detector = SE2" if options.detector == "se" else "Detector = BSD"},
+        raw={
+            "DP_DETECTOR_TYPE": "Detector = SE2" if options.detector == "se" else "Detector = BSD",
+            "AP_TILT_AXIS": f"Tilt Axis = {options.axis_deg % 360.0:5.1f} °",
+            "DP_STAGE_TILTED": f"Stage Tilt = {'In Y' if options.axis_deg == 0 else 'in X'}",
+        },
     )
     return Micrograph(f"view_{view:02d}_{tilt_deg:+06.2f}deg{suffix}.tif", image, mask, metadata)

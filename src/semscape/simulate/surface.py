@@ -21,7 +21,6 @@ NORMAL, THINNESS, SKY = slice(0, 3), 3, 4
 SKY_REACH_PX = 64.0
 _DIRECTIONS = 24
 _EDGE_PX = 4.0
-_BLOCK = 16_384
 
 
 class Surface(Protocol):
@@ -48,6 +47,10 @@ class Surface(Protocol):
 
     def attributes(self, place: NDArray[Any]) -> FloatArray:
         """Return (N, 5) at places of `cast`: unit normal, thinness of edges and open sky, both in [0, 1]."""
+        ...
+
+    def normals(self, place: NDArray[Any]) -> FloatArray:
+        """Return the unit normals (N, 3) at places of `cast`."""
         ...
 
 
@@ -83,11 +86,15 @@ class ReliefSurface:
         out[:, NORMAL] /= np.sqrt(out[:, 0] ** 2 + out[:, 1] ** 2 + out[:, 2] ** 2)[:, None]
         return out
 
+    def normals(self, place: NDArray[Any]) -> FloatArray:
+        """See `Surface`."""
+        return self.attributes(place)[:, NORMAL]
+
 
 class MeshSurface:
     """Triangles, with overhangs; normals are smooth but across creases."""
 
-    def __init__(self, specimen: MeshSpecimen, options: SimulationOptions, workers: int) -> None:
+    def __init__(self, specimen: MeshSpecimen, options: SimulationOptions) -> None:
         pixel = options.pixel_size_um
         smooth = smooth_between_creases(specimen.vertices_um, specimen.faces)
         vertices, normals, self._faces = refine(*smooth, _EDGE_PX * pixel)
@@ -96,22 +103,31 @@ class MeshSurface:
         self._corner_normals = normals[self._faces]
         self._by_vertex = np.empty((len(vertices), 5))
         self._by_vertex[:, NORMAL] = normals
-        escape = max(options.edge_px, 1e-3) * pixel
-        within = _into_faces(vertices, self._faces)
+        self._within = _into_faces(vertices, self._faces)
+        self._escape = max(options.edge_px, 1e-3) * pixel
+        self._sky_reach = SKY_REACH_PX * pixel
+        self._known = np.zeros(len(vertices), dtype=np.bool_)
 
-        def block(start: int, stop: int) -> None:
-            at, normal = within[start:stop], normals[start:stop]
-            self._by_vertex[start:stop, THINNESS] = self._thinness(at, normal, escape)
-            self._by_vertex[start:stop, SKY] = self._open_sky(at, normal, SKY_REACH_PX * pixel)
+    def _learn(self, corners: IntArray) -> None:
+        """Find thinness and open sky of vertices at which no beam has landed before: most of a mesh nobody ever sees.
 
-        in_blocks(len(vertices), _BLOCK, block, workers)
+        Two threads that come to the same vertex at once write the same numbers.
+        """
+        asked = np.zeros(len(self._known), dtype=np.bool_)
+        asked[corners[~self._known[corners]]] = True
+        new = np.flatnonzero(asked)
+        at, normal = self._within[new], self._by_vertex[new, NORMAL]
+        self._by_vertex[new, THINNESS] = self._thinness(at, normal, self._escape)
+        self._by_vertex[new, SKY] = self._open_sky(at, normal, self._sky_reach)
+        self._known[new] = True
 
     def _open_sky(self, points: FloatArray, normals: FloatArray, reach: float) -> FloatArray:
         """Return the share of the sky above, weighted by the cosine to the vertical, that nothing hides."""
         start = points + 1e-4 * reach * normals
         total = np.zeros(len(points))
         for direction in hemisphere(_DIRECTIONS):
-            above = normals @ direction > 0
+            # A product of matrices may round otherwise for another number of points, and so on another thread.
+            above = (normals * direction).sum(axis=1) > 0
             distance, _, _ = first_hits(self._tree, start[above], direction[None, :], 0.0, reach)
             total[above] += np.isinf(distance)
         return total / _DIRECTIONS
@@ -143,11 +159,20 @@ class MeshSurface:
 
     def attributes(self, place: NDArray[Any]) -> FloatArray:
         """See `Surface`."""
+        self._learn(self._faces[place[:, 0].astype(np.int64)])
+        return self._between_corners(self._by_vertex, place)
+
+    def normals(self, place: NDArray[Any]) -> FloatArray:
+        """See `Surface`."""
+        return self._between_corners(self._by_vertex[:, NORMAL], place)
+
+    def _between_corners(self, by_vertex: FloatArray, place: NDArray[Any]) -> FloatArray:
+        """Interpolate over the triangles of `place` what is known of vertices (P, K); the first three are a normal."""
         corners: IntArray = self._faces[place[:, 0].astype(np.int64)]
         v, w = place[:, 1:2], place[:, 2:3]
-        out: FloatArray = (1.0 - v - w) * self._by_vertex[corners[:, 0]]
-        out += v * self._by_vertex[corners[:, 1]]
-        out += w * self._by_vertex[corners[:, 2]]
+        out: FloatArray = (1.0 - v - w) * by_vertex[corners[:, 0]]
+        out += v * by_vertex[corners[:, 1]]
+        out += w * by_vertex[corners[:, 2]]
         out[:, NORMAL] *= place[:, 3:] / np.linalg.norm(out[:, NORMAL], axis=1, keepdims=True)
         return out
 
