@@ -10,8 +10,8 @@ def test_a_quick_run_has_all_tables_and_half_the_keypoints() -> None:
     done = run(Setting(quick=True, workers=2))
     tables = {table.name: table for table in done.tables}
     assert list(tables) == ["counts", "validation", "ablation", "effect"]
-    # Five classifiers, pooled once and with each of the two specimens left out.
-    assert len(tables["validation"].rows) == 5 * (1 + 2)
+    # Six classifiers, pooled once and with each of the two specimens left out.
+    assert len(tables["validation"].rows) == 6 * (1 + 2)
     assert {row[1] for row in tables["validation"].rows} == {"pooled", "unseen"}
     everything, model, _, response, _, chance = tables["effect"].rows
     keypoints, inliers = 2, 6

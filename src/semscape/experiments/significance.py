@@ -31,7 +31,7 @@ _QUICK = {"n_groups": 2, "size_px": 256, "rows": 300}
 _EFFECT_ON_SIMULATED = 1
 # Each row of the ablation adds one group of traits to those above it; the descriptor alone is the thesis's.
 _ABLATION = ("detector", "local", "margin", "density", "descriptor", "orientation", "distinctiveness")
-_COLOURS = (ACCENT, WARM, INK, "#3f9c6b", "#8a5fbf")
+_COLOURS = (ACCENT, WARM, INK, "#3f9c6b", "#8a5fbf", "#4a90c2")
 
 
 def run(setting: Setting) -> Experiment:
@@ -136,7 +136,7 @@ def _ablation(dataset: Dataset, specimens: list[str], seed: int, rows: int) -> T
         table.append((name, *(_auc(result) for result in results)))
     return Table(
         name="ablation",
-        title="AUC on unseen specimens by the traits that logistic regression sees",
+        title="AUC on unseen specimens by the traits that the blend sees",
         columns=("traits", *specimens),
         rows=tuple(table),
         note="From the second row on each row adds a group of traits; the last adds the 128 numbers of the descriptor.",
@@ -169,7 +169,7 @@ def _curves(scored: list[Scored]) -> tuple[Figure, Figure]:
             figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(_COLOURS))
 
         png = drawn_png((8.0, 4.0), draw, dpi=100)
-        return Figure(kind, title, png, f"{title} of five classifiers, pooled folds beside unseen specimens.")
+        return Figure(kind, title, png, f"{title} of six classifiers, pooled folds beside unseen specimens.")
 
     return (
         figure_of("roc", "ROC curves", ("false positive rate", "true positive rate")),

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import expit, logit
 from sklearn.ensemble import HistGradientBoostingClassifier
 from skops.io import dumps, get_untrusted_types, loads
 
@@ -34,7 +34,7 @@ TRUSTED_TYPES = (
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """A classifier, the groups of traits that it takes, and where it comes from (plain values)."""
+    """A classifier, or a list of those blended; the groups of traits that it takes; its origin in plain values."""
 
     estimator: Any
     groups: tuple[str, ...]
@@ -101,30 +101,41 @@ def load_significance_model(path: str) -> SignificanceModel:
 
 def significance_model(model: TrainedModel) -> SignificanceModel:
     """Return what scores keypoints: boosted trees and logistic regression flattened, else scikit-learn itself."""
-    if isinstance(model.estimator, HistGradientBoostingClassifier):
-        trees = tree_ensemble(model.estimator, len(trait_names(model.groups)))
-        return SignificanceModel(model.groups, trees.probability)
-    if "logisticregression" in getattr(model.estimator, "named_steps", {}):
-        return SignificanceModel(model.groups, _logistic_score(model.estimator))
+    several = model.estimator if isinstance(model.estimator, list) else [model.estimator]
+    parts = [_log_odds(each, len(trait_names(model.groups))) for each in several]
 
     def score(traits: NDArray[np.float32]) -> FloatArray:
-        return probability(model.estimator, traits)
+        odds: FloatArray = expit(sum(part(traits) for part in parts) / len(parts))
+        return odds
 
     return SignificanceModel(model.groups, score)
 
 
-def _logistic_score(estimator: Any) -> Callable[[NDArray[np.float32]], FloatArray]:
+def _log_odds(estimator: Any, n_features: int) -> Callable[[NDArray[np.float32]], FloatArray]:
+    if isinstance(estimator, HistGradientBoostingClassifier):
+        return tree_ensemble(estimator, n_features).log_odds
+    if "logisticregression" in getattr(estimator, "named_steps", {}):
+        return _line(estimator)
+
+    def log_odds(traits: NDArray[np.float32]) -> FloatArray:
+        odds: FloatArray = logit(probability(estimator, traits))
+        return odds
+
+    return log_odds
+
+
+def _line(estimator: Any) -> Callable[[NDArray[np.float32]], FloatArray]:
     """Return filling, scaling and the linear model as one product."""
     filler, scaler, linear = estimator
     weights = linear.coef_[0] / scaler.scale_
     offset = float(linear.intercept_[0] - weights @ scaler.mean_)
     filling = filler.statistics_.astype(np.float32)
 
-    def score(traits: NDArray[np.float32]) -> FloatArray:
-        odds: FloatArray = expit(np.where(np.isnan(traits), filling, traits) @ weights + offset)
+    def log_odds(traits: NDArray[np.float32]) -> FloatArray:
+        odds: FloatArray = np.where(np.isnan(traits), filling, traits) @ weights + offset
         return odds
 
-    return score
+    return log_odds
 
 
 def tree_ensemble(estimator: HistGradientBoostingClassifier, n_features: int) -> TreeEnsemble:
