@@ -27,6 +27,7 @@ from sklearn.naive_bayes import GaussianNB
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MinMaxScaler, StandardScaler
 from sklearn.svm import LinearSVC
+from threadpoolctl import threadpool_limits
 
 from semscape.features.traits import SENSE
 from semscape.types import BoolArray, FloatArray
@@ -136,7 +137,8 @@ def fitted(
     estimator = CLASSIFIERS[name](names, seed)
     # scikit-learn cannot bin a trait that is unknown everywhere.
     known = np.where(np.isnan(features).all(axis=0), np.float32(0), features)
-    with warnings.catch_warnings():
+    # Threads of scikit-learn's trees wait for each other in turns; on a machine that does more it takes them minutes.
+    with threadpool_limits(1), warnings.catch_warnings():
         # With hardly a ridge, and in the SVM's dual, the last digits creep; they are far below what folds differ.
         warnings.simplefilter("ignore", ConvergenceWarning)
         if name == "boosting":
@@ -158,11 +160,12 @@ def _alike(group: NDArray[Any], significant: BoolArray) -> FloatArray:
 
 def probability(estimator: Any, features: NDArray[np.float32]) -> FloatArray:
     """Return the probability (N,) of being significant; of an SVM the logistic function of its margin."""
-    if isinstance(estimator, list):
-        mean: FloatArray = expit(np.mean([each.decision_function(features) for each in estimator], axis=0))
-        return mean
-    if hasattr(estimator, "predict_proba"):
-        positive: FloatArray = np.asarray(estimator.predict_proba(features)[:, 1], dtype=np.float64)
-        return positive
-    squashed: FloatArray = expit(estimator.decision_function(features))
-    return squashed
+    with threadpool_limits(1):
+        if isinstance(estimator, list):
+            mean: FloatArray = expit(np.mean([each.decision_function(features) for each in estimator], axis=0))
+            return mean
+        if hasattr(estimator, "predict_proba"):
+            positive: FloatArray = np.asarray(estimator.predict_proba(features)[:, 1], dtype=np.float64)
+            return positive
+        squashed: FloatArray = expit(estimator.decision_function(features))
+        return squashed
