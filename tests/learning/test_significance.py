@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sklearn.linear_model import LogisticRegression
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import OneHotEncoder
 from skops.io import dumps
 
 import semscape
@@ -103,6 +106,39 @@ def test_a_file_with_another_type_is_not_opened(rows: tuple[np.ndarray, np.ndarr
 def test_what_is_no_model_is_said_so(data: bytes) -> None:
     with pytest.raises(BadInputError, match=r"m\.skops"):
         read_model(data, "m.skops")
+
+
+def content(estimator: object, groups: object = GROUPS) -> bytes:
+    groups = list(groups) if isinstance(groups, tuple) else groups
+    return dumps({"format": "semscape-significance-1", "groups": groups, "origin": {}, "estimator": estimator})
+
+
+@pytest.mark.parametrize("groups", [None, 5, [], [5]])
+def test_a_model_says_what_it_takes(groups: object) -> None:
+    with pytest.raises(BadInputError, match="does not say"):
+        read_model(content(LogisticRegression(), groups), "m.skops")
+
+
+@pytest.mark.parametrize("estimator", [None, 3, [], [[]], LogisticRegression(), Pipeline([("a", OneHotEncoder())])])
+def test_what_is_none_of_our_classifiers_is_refused(estimator: object) -> None:
+    with pytest.raises(BadInputError, match="it is made of"):
+        read_model(content(estimator), "m.skops")
+
+
+def test_a_model_of_other_traits_than_it_says_is_refused(rows: tuple[np.ndarray, np.ndarray]) -> None:
+    with pytest.raises(BadInputError, match="cannot score"):
+        read_model(content(trained(rows, "blend").estimator, ("detector",)), "m.skops")
+
+
+def test_a_forest_that_walks_in_circles_is_refused(rows: tuple[np.ndarray, np.ndarray]) -> None:
+    forest = trained(rows, "random_forest").estimator
+    tree = forest[-1].estimators_[3].tree_
+    state = tree.__getstate__()
+    inner = int(np.flatnonzero(state["nodes"]["left_child"] > 0)[1])
+    state["nodes"]["left_child"][inner] = 0
+    tree.__setstate__(state)
+    with pytest.raises(BadInputError, match="not sound"):
+        read_model(content(forest), "m.skops")
 
 
 def test_trees_that_might_never_end_are_refused() -> None:

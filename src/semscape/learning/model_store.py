@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
-from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.ensemble import HistGradientBoostingClassifier, RandomForestClassifier
+from sklearn.impute import SimpleImputer
+from sklearn.linear_model import LogisticRegression
+from sklearn.naive_bayes import GaussianNB
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import MinMaxScaler, StandardScaler
+from sklearn.svm import LinearSVC
 from skops.io import dumps, get_untrusted_types, loads
 
 from semscape.errors import BadInputError
@@ -30,6 +36,8 @@ TRUSTED_TYPES = (
     "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
     "sklearn.tree._tree.Tree",
 )
+_FILLERS = (SimpleImputer, StandardScaler, MinMaxScaler)
+_DECIDERS = (GaussianNB, RandomForestClassifier, LogisticRegression, LinearSVC)
 
 
 @dataclass(frozen=True)
@@ -65,7 +73,7 @@ def read_model(data: bytes, name: str) -> TrainedModel:
     Raises
     ------
     BadInputError
-        For a file that is no model of semscape's, or that holds a type beyond `TRUSTED_TYPES`.
+        For a file that is no model of semscape's, that holds a type beyond `TRUSTED_TYPES`, or that cannot score.
     """
     try:
         unknown = sorted(set(get_untrusted_types(data=data)) - set(TRUSTED_TYPES))
@@ -82,10 +90,42 @@ def read_model(data: bytes, name: str) -> TrainedModel:
         raise BadInputError(f"{name} cannot be read, perhaps another scikit-learn wrote it: {error}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BadInputError(f"{name} is not a model that semscape train wrote; its format is not {FORMAT}")
-    groups = tuple(content["groups"])
+    groups, estimator, origin = (content.get(key) for key in ("groups", "estimator", "origin"))
+    if not (isinstance(groups, list) and groups and all(isinstance(group, str) for group in groups)):
+        raise BadInputError(f"{name} does not say which groups of traits it takes; train a model with semscape train")
     if not set(groups) <= set(TRAITS):
         raise BadInputError(f"{name} asks for groups of traits that are not known: {', '.join(groups)}")
-    return TrainedModel(content["estimator"], groups, content["origin"])
+    model = TrainedModel(estimator, tuple(groups), origin if isinstance(origin, dict) else {})
+    try:
+        _require_sound(estimator)
+        trial = significance_model(model).probability(np.zeros((2, len(trait_names(groups))), np.float32))
+    except Exception as error:
+        raise BadInputError(f"{name} cannot score keypoints: {error}; train a model with semscape train") from error
+    if trial.shape != (2,) or not np.isfinite(trial).all():
+        raise BadInputError(f"{name} gives no probabilities; train a model with semscape train")
+    return model
+
+
+def _require_sound(estimator: Any) -> None:
+    """Raise for what `semscape.learning.classifiers` does not make, and for trees that may never end.
+
+    scikit-learn walks the trees of a forest without looking; boosted ones are checked where they are flattened.
+    """
+    if isinstance(estimator, list) and estimator and not any(isinstance(each, list) for each in estimator):
+        for each in estimator:
+            _require_sound(each)
+        return
+    if type(estimator) is HistGradientBoostingClassifier:
+        return
+    steps = [step for _, step in estimator.steps] if type(estimator) is Pipeline else [estimator]
+    if len(steps) < 2 or not all(type(step) in _FILLERS for step in steps[:-1]) or type(steps[-1]) not in _DECIDERS:
+        raise ValueError(f"it is made of {', '.join(type(step).__name__ for step in steps)}")
+    for tree in (each.tree_ for each in getattr(steps[-1], "estimators_", ())):
+        parent = np.flatnonzero(tree.children_left >= 0)
+        children = np.concatenate([tree.children_left[parent], tree.children_right[parent]])
+        ahead = (children > np.tile(parent, 2)) & (children < tree.node_count)
+        if not (ahead.all() and (tree.feature[parent] < tree.n_features).all() and (tree.feature[parent] >= 0).all()):
+            raise ValueError(f"a tree of {tree.node_count} nodes is not sound")
 
 
 def load_significance_model(path: str) -> SignificanceModel:

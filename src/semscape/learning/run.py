@@ -119,6 +119,12 @@ def validation_rows(
 ) -> list[Summary]:
     """Return the validation summary of some classifiers under some protocols."""
     require_known(classifiers, traits)
+    specimens = set(dataset.specimen)
+    if "unseen" in protocols and len(specimens) < 2:
+        raise BadInputError(
+            f"the dataset holds one specimen alone, {', '.join(specimens)}; to leave it out, add a dataset of another "
+            "one: the specimen is the folder's name up to the first '-'"
+        )
     return [
         summarize(scored)
         for protocol in protocols

@@ -145,7 +145,7 @@ def validate(
         for other in left_out or sorted(set(specimen)):
             test = specimen == other
             if test.all() or not test.any():
-                raise BadInputError(f"the dataset holds {other!r} alone or not at all; another specimen is needed")
+                raise BadInputError(f"the dataset holds {str(other)!r} alone or not at all; another specimen is needed")
             split = (np.flatnonzero(~test), np.flatnonzero(test))
             yield _score(name, protocol, other, dataset, trait_groups, [split], seed)
 
