@@ -228,5 +228,7 @@ def test_dotted_keys_are_options() -> None:
     assert read_toml(options.to_toml()).features == options.features
     with pytest.raises(BadInputError, match="significance_keep"):
         Options().with_settings(["features.significance.keep=0"])
+    with pytest.raises(BadInputError, match="a probability of the model"):
+        Options().with_settings(["features.significance.threshold=0.5", "features.significance.by=scale"])
     with pytest.raises(BadInputError, match="cannot be read"):
         load_significance_model("no/such/file.skops")
