@@ -32,7 +32,7 @@ _QUICK = {"n_groups": 2, "size_px": 256, "rows": 300}
 _EFFECT_ON_SIMULATED = ("fracture-0", "grating-0", "pollen-0")
 # Each row of the ablation adds one group of traits to those above it; the descriptor alone is the thesis's.
 _ABLATION = ("detector", "local", "margin", "density", "descriptor", "orientation", "distinctiveness")
-_COLOURS = (ACCENT, WARM, INK, "#3f9c6b", "#8a5fbf", "#4a90c2")
+_COLOURS = (ACCENT, WARM, INK, "#3f9c6b", "#8a5fbf", "#c2334d")
 
 
 def run(setting: Setting) -> Experiment:
