@@ -131,10 +131,18 @@ class FeaturesOptions(_Stage):
     significance_by: str = "model"
     significance_model: str = ""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.significance_threshold > 0 and self.significance_by != "model":
+            raise BadInputError(
+                f"option features.significance_threshold is {self.significance_threshold:g}, a probability of the "
+                f"model, and features.significance_by is {self.significance_by}; set significance_keep instead"
+            )
+
     @property
     def selects(self) -> bool:
         """Whether some keypoints may be left out before matching."""
-        return self.significance_keep < 1 or (self.significance_by == "model" and self.significance_threshold > 0)
+        return self.significance_keep < 1 or self.significance_threshold > 0
 
 
 @dataclass(frozen=True)

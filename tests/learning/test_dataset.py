@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,13 @@ def test_data_that_teach_nothing_are_named(dataset: Dataset, groups: list[tuple[
         label_group("one", groups[0][1].select((0,), "alone"), Options(), seed=0)
 
 
+def label_first(dataset: Dataset) -> Dataset:
+    """Return the first group alone."""
+    n_images = sum(name.startswith(dataset.groups[0]) for name in dataset.images)
+    rows = dataset.only(dataset.group == 0)
+    return replace(rows, groups=rows.groups[:1], images=rows.images[:n_images], n_detected=rows.n_detected[:n_images])
+
+
 def test_the_commands_from_images_to_a_validation(tmp_path: Path, dataset: Dataset) -> None:
     run = CliRunner().invoke
     made, model = tmp_path / "d.npz", tmp_path / "m.skops"
@@ -114,7 +122,18 @@ def test_the_commands_from_images_to_a_validation(tmp_path: Path, dataset: Datas
     done = run(app, ["validate", str(made), "--classifier", "naive_bayes,logistic", "--rows", "200"])
     assert done.exit_code == 0, done.output
     assert len(done.output.splitlines()) == 1 + 2 * (1 + 2)
-    for wrong, message in ((["dataset", "-o", str(made)], "no groups"), (["validate", str(model)], "dataset")):
+    one, broken, text = tmp_path / "one.npz", tmp_path / "broken.npz", tmp_path / "text.npz"
+    write_arrays(one, label_first(dataset).arrays())
+    write_arrays(broken, dataset.arrays() | {"group": np.full(len(dataset), 2)})
+    text.write_text("no archive")
+    for wrong, message in (
+        (["dataset", "-o", str(made)], "no groups"),
+        (["validate", str(model)], "dataset"),
+        (["validate", str(one)], "one specimen alone, fracture"),
+        (["validate", str(broken)], "does not hang together"),
+        (["train", str(text), "-o", str(model)], "no npz file of plain numbers"),
+        (["train", str(tmp_path / "none.npz"), "-o", str(model)], "No such file"),
+    ):
         failed = run(app, wrong)
         assert failed.exit_code == 2
         assert message in failed.output

@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sklearn.linear_model import LogisticRegression
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import OneHotEncoder
 from skops.io import dumps
 
 import semscape
@@ -42,7 +45,7 @@ def rows() -> tuple[np.ndarray, np.ndarray]:
 
 
 def trained(rows: tuple[np.ndarray, np.ndarray], name: str = "boosting") -> TrainedModel:
-    estimator = fitted(name, *rows, group=np.zeros(len(rows[1]), int), seed=0)
+    estimator = fitted(name, *rows, names=trait_names(GROUPS), group=np.zeros(len(rows[1]), int), seed=0)
     return TrainedModel(estimator, GROUPS, {"seed": 0})
 
 
@@ -58,8 +61,40 @@ def test_a_model_scores_the_same_after_its_file(rows: tuple[np.ndarray, np.ndarr
     assert again.groups == GROUPS
     expected = probability(model.estimator, rows[0])
     # scikit-learn scales in float32, the flattened logistic regression in float64.
-    np.testing.assert_allclose(again.probability(rows[0]), expected, atol=2e-6 if name == "logistic" else 1e-12)
+    np.testing.assert_allclose(
+        again.probability(rows[0]), expected, atol=2e-6 if name in ("logistic", "blend") else 1e-12
+    )
     assert expected[rows[1]].mean() > expected[~rows[1]].mean() + 0.2
+
+
+def test_the_blend_is_the_mean_of_a_line_and_of_trees_that_bend_one_way() -> None:
+    # The class falls with the response where the trees must let it rise: they stay out of it, and the line does not.
+    rng = np.random.default_rng(2)
+    features = rng.normal(size=(4000, 4)).astype(np.float32)
+    names = trait_names(GROUPS)
+    against, free = names.index("log_response"), names.index("log_scale")
+    significant = features[:, free] - features[:, against] + rng.normal(size=4000) > 0
+    line, trees = blend = fitted("blend", features, significant, names=names, group=np.zeros(4000, int), seed=0)
+    swept = np.zeros((50, 4), np.float32)
+    swept[:, against] = np.linspace(-2, 2, 50)
+    assert np.ptp(trees.decision_function(swept)) == pytest.approx(0)
+    assert (np.diff(line.decision_function(swept)) < 0).all()
+    mean = (line.decision_function(swept) + trees.decision_function(swept)) / 2
+    np.testing.assert_allclose(probability(blend, swept), 1 / (1 + np.exp(-mean)), rtol=1e-6)
+    upward = swept[:, [against, free, 2, 3]]
+    assert np.ptp(trees.decision_function(upward)) > 1
+
+
+def test_the_line_of_the_blend_lets_every_class_of_every_group_count_the_same() -> None:
+    # One trait tells the groups apart and nothing else; in one of them nearly all are significant.
+    rng = np.random.default_rng(3)
+    group = np.repeat([0, 1], 2000)
+    significant = rng.random(4000) < np.where(group == 0, 0.9, 0.1)
+    features = np.column_stack([group, rng.normal(size=(4000, 3))]).astype(np.float32)
+    line, _ = fitted("blend", features, significant, names=trait_names(GROUPS), group=group, seed=0)
+    assert probability(line, features)[group == 0].mean() == pytest.approx(0.5, abs=0.02)
+    taken_as_is = fitted("logistic", features, significant, names=trait_names(GROUPS), group=group, seed=0)
+    assert probability(taken_as_is, features)[group == 0].mean() == pytest.approx(0.9, abs=0.02)
 
 
 def test_a_file_with_another_type_is_not_opened(rows: tuple[np.ndarray, np.ndarray]) -> None:
@@ -71,6 +106,39 @@ def test_a_file_with_another_type_is_not_opened(rows: tuple[np.ndarray, np.ndarr
 def test_what_is_no_model_is_said_so(data: bytes) -> None:
     with pytest.raises(BadInputError, match=r"m\.skops"):
         read_model(data, "m.skops")
+
+
+def content(estimator: object, groups: object = GROUPS) -> bytes:
+    groups = list(groups) if isinstance(groups, tuple) else groups
+    return dumps({"format": "semscape-significance-1", "groups": groups, "origin": {}, "estimator": estimator})
+
+
+@pytest.mark.parametrize("groups", [None, 5, [], [5]])
+def test_a_model_says_what_it_takes(groups: object) -> None:
+    with pytest.raises(BadInputError, match="does not say"):
+        read_model(content(LogisticRegression(), groups), "m.skops")
+
+
+@pytest.mark.parametrize("estimator", [None, 3, [], [[]], LogisticRegression(), Pipeline([("a", OneHotEncoder())])])
+def test_what_is_none_of_our_classifiers_is_refused(estimator: object) -> None:
+    with pytest.raises(BadInputError, match="it is made of"):
+        read_model(content(estimator), "m.skops")
+
+
+def test_a_model_of_other_traits_than_it_says_is_refused(rows: tuple[np.ndarray, np.ndarray]) -> None:
+    with pytest.raises(BadInputError, match="cannot score"):
+        read_model(content(trained(rows, "blend").estimator, ("detector",)), "m.skops")
+
+
+def test_a_forest_that_walks_in_circles_is_refused(rows: tuple[np.ndarray, np.ndarray]) -> None:
+    forest = trained(rows, "random_forest").estimator
+    tree = forest[-1].estimators_[3].tree_
+    state = tree.__getstate__()
+    inner = int(np.flatnonzero(state["nodes"]["left_child"] > 0)[1])
+    state["nodes"]["left_child"][inner] = 0
+    tree.__setstate__(state)
+    with pytest.raises(BadInputError, match="not sound"):
+        read_model(content(forest), "m.skops")
 
 
 def test_trees_that_might_never_end_are_refused() -> None:
@@ -85,14 +153,14 @@ def test_trees_that_might_never_end_are_refused() -> None:
         "n_features": 1,
     }
     trees = TreeEnsemble(feature=number, **sound, **rest)
-    low, high, missing = trees.probability(np.array([[-1.0], [1.0], [np.nan]], np.float32))
-    assert (low, high) == pytest.approx((1 / (1 + np.e), 1 / (1 + 1 / np.e)))
+    low, high, missing = trees.log_odds(np.array([[-1.0], [1.0], [np.nan]], np.float32))
+    assert (low, high) == (-1, 1)
     assert missing == high
     for broken in (sound | {"left": np.zeros(3, np.int32)}, sound | {"right": np.array([9, 0, 0], np.int32)}):
         with pytest.raises(ValueError, match="not sound"):
             TreeEnsemble(feature=number, **broken, **rest)
     with pytest.raises(ValueError, match="takes 1 traits"):
-        trees.probability(np.zeros((2, 3), np.float32))
+        trees.log_odds(np.zeros((2, 3), np.float32))
 
 
 def test_best_rows_keeps_the_count_when_scores_are_equal() -> None:
@@ -160,5 +228,7 @@ def test_dotted_keys_are_options() -> None:
     assert read_toml(options.to_toml()).features == options.features
     with pytest.raises(BadInputError, match="significance_keep"):
         Options().with_settings(["features.significance.keep=0"])
+    with pytest.raises(BadInputError, match="a probability of the model"):
+        Options().with_settings(["features.significance.threshold=0.5", "features.significance.by=scale"])
     with pytest.raises(BadInputError, match="cannot be read"):
         load_significance_model("no/such/file.skops")

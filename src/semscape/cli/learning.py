@@ -50,7 +50,7 @@ def dataset(
 def train(
     datasets: DatasetArguments,
     output: OutputOption,
-    classifier: Annotated[str | None, typer.Option(metavar="NAME", help="logistic if left out.")] = None,
+    classifier: Annotated[str | None, typer.Option(metavar="NAME", help="blend if left out.")] = None,
     traits: TraitsOption = None,
     rows: RowsOption = None,
     seed: SeedOption = None,
@@ -70,7 +70,7 @@ def train(
 @app.command("validate", short_help="Validate classifiers of keypoints on specimens left out of training.")
 def validate_classifiers(
     datasets: DatasetArguments,
-    classifier: Annotated[str | None, typer.Option(metavar="LIST", help="All five if left out.")] = None,
+    classifier: Annotated[str | None, typer.Option(metavar="LIST", help="All six if left out.")] = None,
     traits: TraitsOption = None,
     rows: RowsOption = None,
     seed: SeedOption = None,

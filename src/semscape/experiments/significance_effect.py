@@ -2,63 +2,127 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from semscape.errors import SemscapeError
+from semscape.evaluate.align import align_points
 from semscape.experiments.study import Setting
+from semscape.experiments.true_matches import true_points_um
 from semscape.features.detect import detect
 from semscape.features.match import match
 from semscape.features.significance import best_rows, keep_significant, keypoints_at
 from semscape.learning.dataset import Dataset
-from semscape.learning.model_store import significance_model
+from semscape.learning.model_store import load_significance_model, significance_model
 from semscape.learning.run import ROWS_PER_GROUP, train_model
 from semscape.options import Options
 from semscape.sfm.calibrate import calibrate
 from semscape.sfm.tracks import build_tracks
 from semscape.sfm.two_view import match_pair
-from semscape.types import Keypoints, TiltSeries
+from semscape.types import Keypoints, Reconstruction, SimulationTruth, TiltSeries
 
 EFFECT_COLUMNS = (
     "series", "chosen by", "keypoints per image", "scoring (s)", "matching (s)", "times faster", "inliers kept",
     "tracks kept", "rms (px)", "tilt span (deg)", "height scale against all keypoints (%)",
+    "tilt error (deg)", "height error (um)",
 )  # fmt: skip
+SPEED_COLUMNS = (
+    "series",
+    "keypoints per image",
+    "matching all (s)",
+    "scoring (s)",
+    "matching half (s)",
+    "times faster",
+)
+_COUNTS = (10_000, 20_000, 30_000)
+_REPEATS = 3
 _KEEP = 0.5
 _WARM_UP = 200
 _LEAST_COMMON = 50
+_MAD_TO_SIGMA = 1.4826
 # View, x and y of an observation, and the height of its point.
 Heights = dict[tuple[int, float, float], float]
 
 
+@dataclass(frozen=True)
+class _Outcome:
+    """What the keypoints of a series come to; errors against the truth where it is known."""
+
+    inliers: int
+    tracks: int = 0
+    rms_px: float = math.nan
+    tilt_span_deg: float = math.nan
+    heights: Heights = field(default_factory=dict)
+    tilt_error_deg: float | None = None
+    height_error_um: float | None = None
+
+
 def effect_rows(
-    dataset: Dataset, groups: Sequence[tuple[str, TiltSeries]], options: Options, setting: Setting
+    dataset: Dataset,
+    groups: Sequence[tuple[str, TiltSeries, SimulationTruth | None]],
+    options: Options,
+    setting: Setting,
 ) -> tuple[tuple[Any, ...], ...]:
     """Return the rows of the table: per series all keypoints, the half that the model chooses, and the rivals'."""
     specimen = np.array(dataset.specimen)[dataset.group]
     is_simulated = np.char.find(np.array(dataset.groups), "-")[dataset.group] > 0
     rows: list[tuple[Any, ...]] = []
-    for name, series in groups:
+    for name, series, truth in groups:
         unseen = specimen != name.split("-")[0]
         models = {"model, all other specimens": dataset.only(unseen)}
         if (unseen & is_simulated).any():
             models["model, simulated alone"] = dataset.only(unseen & is_simulated)
-        rows += _series_rows(name, series, models, options, setting)
+        rows += _series_rows(name, series, truth, models, options, setting)
+    return tuple(rows)
+
+
+def speed_rows(groups: Sequence[tuple[str, TiltSeries]], options: Options) -> tuple[tuple[Any, ...], ...]:
+    """Return what half the keypoints save in each series that has enough of them, with the model that ships.
+
+    The seconds are processor time of one thread for all pairs, and for scoring all images; each the least of a few.
+    """
+    half = replace(options.features, significance_keep=_KEEP)
+    model = load_significance_model("")
+    rng = np.random.default_rng(options.run.seed)
+    rows = []
+    for name, series in groups:
+        found = tuple(detect(view, options.features) for view in series.views)
+        for count in _COUNTS:
+            if count > min(len(each) for each in found):
+                continue
+            some = tuple(keypoints_at(each, np.sort(rng.permutation(len(each))[:count])) for each in found)
+            seconds = []
+            for _ in range(_REPEATS):
+                start = time.process_time()
+                kept = tuple(
+                    keep_significant(view, each, half, model) for view, each in zip(series.views, some, strict=True)
+                )
+                scoring = time.process_time() - start
+                seconds.append((_match_seconds(some), scoring, _match_seconds(kept)))
+            whole, scoring, halved = (min(column) for column in zip(*seconds, strict=True))
+            rows.append((name, count, whole, scoring, halved, whole / (scoring + halved)))
     return tuple(rows)
 
 
 def _series_rows(
-    name: str, series: TiltSeries, training: dict[str, Dataset], options: Options, setting: Setting
+    name: str,
+    series: TiltSeries,
+    truth: SimulationTruth | None,
+    training: dict[str, Dataset],
+    options: Options,
+    setting: Setting,
 ) -> list[tuple[Any, ...]]:
     found = tuple(detect(view, options.features) for view in series.views)
     _match_seconds(tuple(keypoints_at(each, np.arange(min(len(each), _WARM_UP))) for each in found))  # compiles
     whole = _match_seconds(found)
-    base = _outcome(series, found, options)
-    rows = [(name, "all", _mean_count(found), 0.0, whole, 1.0, 1.0, 1.0, base[2], base[3], 0.0)]
+    base = _outcome(series, truth, found, options)
+    rows: list[tuple[Any, ...]] = [(name, "all", _mean_count(found), 0.0, whole, 1.0, *_compared(base, base))]
     half = replace(options.features, significance_keep=_KEEP)
     chosen_by: dict[str, Any] = {}
     for label, rows_to_learn in training.items():
@@ -79,29 +143,28 @@ def _series_rows(
             )
         scoring = time.process_time() - start
         matching = _match_seconds(kept)
-        inliers, tracks, rms, span, points = _outcome(series, kept, options)
-        rows.append(
-            (
-                name,
-                label,
-                _mean_count(kept),
-                scoring,
-                matching,
-                whole / (scoring + matching),
-                inliers / base[0],
-                tracks / base[1],
-                rms,
-                span,
-                _height_scale_percent(base[4], points),
-            )
-        )
+        faster = whole / (scoring + matching)
+        after = _outcome(series, truth, kept, options)
+        rows.append((name, label, _mean_count(kept), scoring, matching, faster, *_compared(after, base)))
     return rows
 
 
+def _compared(after: _Outcome, before: _Outcome) -> tuple[Any, ...]:
+    """Return the last columns of a row."""
+    return (
+        after.inliers / before.inliers,
+        after.tracks / before.tracks,
+        after.rms_px,
+        after.tilt_span_deg,
+        _height_scale_percent(before.heights, after.heights),
+        after.tilt_error_deg,
+        after.height_error_um,
+    )
+
+
 def _outcome(
-    series: TiltSeries, keypoints: tuple[Keypoints, ...], options: Options
-) -> tuple[int, int, float, float, Heights]:
-    """Return inliers of the first pass, tracks, residual rms, tilt span in deg, and heights by observed place."""
+    series: TiltSeries, truth: SimulationTruth | None, keypoints: tuple[Keypoints, ...], options: Options
+) -> _Outcome:
     features = replace(options.features, guided=False)
     found = []
     for pair in combinations(range(series.n_views), 2):
@@ -115,12 +178,29 @@ def _outcome(
         tracks = build_tracks(keypoints, tuple(m for m, _ in found), tuple(g for _, g in found))
         result = calibrate(series, tracks, options.sfm, rng=np.random.default_rng(options.run.seed)).reconstruction
     except SemscapeError:
-        return inliers, 0, np.nan, np.nan, {}
-    span = float(np.rad2deg(np.ptp(result.motion.tilt_rad)))
+        return _Outcome(inliers)
     seen = result.observations
     places = zip(seen.view.tolist(), *seen.xy.T.tolist(), strict=True)
     heights = dict(zip(places, result.points_um[seen.point, 2].tolist(), strict=True))
-    return inliers, tracks.n_points, result.rms_px, span, heights
+    span = float(np.rad2deg(np.ptp(result.motion.tilt_rad)))
+    errors = (None, None) if truth is None else _errors(result, truth)
+    return _Outcome(inliers, tracks.n_points, result.rms_px, span, heights, *errors)
+
+
+def _errors(result: Reconstruction, truth: SimulationTruth) -> tuple[float, float]:
+    """Return the error of the tilts but for a common turn, rms in deg, and the robust sigma of the heights in um.
+
+    A point is compared with the true surface that the reference view shows where the point was observed there, after a
+    rigid alignment.
+    """
+    tilt = np.rad2deg(result.motion.tilt_rad - truth.motion.tilt_rad)
+    seen = result.observations
+    rows = np.flatnonzero((seen.view == result.reference) & (result.weights > 0))
+    true, _ = true_points_um(truth, result.reference, seen.xy[rows])
+    known = np.isfinite(true[:, 2])
+    found, true = result.points_um[seen.point[rows[known]]], true[known]
+    off = align_points(found, true, "rigid").apply(found)[:, 2] - true[:, 2]
+    return float(np.std(tilt)), float(_MAD_TO_SIGMA * np.median(np.abs(off)))
 
 
 def _height_scale_percent(whole: Heights, half: Heights) -> float:

@@ -71,8 +71,8 @@ class TreeEnsemble(_Value):
         if not sound:
             raise ValueError(f"the {len(self.roots)} trees of {n} nodes are not sound")
 
-    def probability(self, traits: NDArray[np.float32]) -> FloatArray:
-        """Return the probability (N,) for rows (N, F) of traits.
+    def log_odds(self, traits: NDArray[np.float32]) -> FloatArray:
+        """Return the log-odds (N,) of being significant for rows (N, F) of traits.
 
         Raises
         ------
@@ -87,8 +87,7 @@ class TreeEnsemble(_Value):
             columns, self.feature, self.threshold, self.left, self.right, self.missing_left, self.value, self.roots,
             log_odds,
         )  # fmt: skip
-        odds: FloatArray = 1 / (1 + np.exp(-log_odds))
-        return odds
+        return log_odds
 
 
 def keep_significant(

@@ -184,6 +184,12 @@ TRAITS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "sift": tuple(f"sift_{index}" for index in range(128)),
     }
 )
+# The sense in which physics lets a trait act: what stands out of the noise is found again, what shares its place with
+# another keypoint is mistaken for it. Of all others nobody knows beforehand.
+_STANDS_OUT = tuple(f"{name}_{scale}" for scale in ("fine", "coarse") for name in _AT_TWO_SCALES if name != "coherence")
+SENSE: Mapping[str, int] = MappingProxyType(
+    dict.fromkeys(("log_response", "visibility", *_STANDS_OUT), 1) | {"noise": -1, "shared_place": -1}
+)
 
 
 def _cells(keypoints: Keypoints, size_px: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -37,8 +38,10 @@ def read_arrays(path: Path, wanted: tuple[str, ...]) -> dict[str, NDArray[Any]]:
             if missing:
                 raise BadInputError(f"{path} is not a dataset of semscape dataset: it has no {', '.join(missing)}")
             return {name: archive[name] for name in wanted}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise BadInputError(f"{path} cannot be read as a dataset: {error}") from error
+    except OSError as error:
+        raise BadInputError(f"the dataset {path} cannot be read: {error.strerror or error}") from error
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise BadInputError(f"{path} is not a dataset of semscape dataset: no npz file of plain numbers") from error
 
 
 def read_model_file(path: str) -> bytes:

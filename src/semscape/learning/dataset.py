@@ -185,8 +185,20 @@ def dataset_of_arrays(arrays: Mapping[str, NDArray[Any]], name: str) -> Dataset:
     names = tuple(str(item) for item in arrays["names"])
     n = len(arrays["x"])
     lengths = {len(arrays[key]) for key in ("y", "features", "class", "group", "image")}
-    if names != trait_names(ALL_TRAITS) or lengths != {n} or arrays["features"].shape != (n, len(names)):
-        raise BadInputError(f"{name} was made by another version of semscape; make it again with semscape dataset")
+    places = (("group", len(arrays["groups"])), ("image", len(arrays["images"])))
+    sound = (
+        names == trait_names(ALL_TRAITS)
+        and lengths == {n}
+        and arrays["features"].shape == (n, len(names))
+        and arrays["features"].dtype == np.float32
+        and arrays["class"].dtype == np.bool_
+        and all(np.isin(arrays[key], np.arange(count)).all() for key, count in places)
+        and len(arrays["n_detected"]) == len(arrays["images"])
+    )
+    if not sound:
+        raise BadInputError(
+            f"{name} does not hang together or is of another version of semscape; make it again with semscape dataset"
+        )
     return Dataset(
         xy=np.column_stack([arrays["x"], arrays["y"]]),
         features=arrays["features"],

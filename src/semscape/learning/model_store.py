@@ -12,8 +12,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
-from sklearn.ensemble import HistGradientBoostingClassifier
+from scipy.special import expit, logit
+from sklearn.ensemble import HistGradientBoostingClassifier, RandomForestClassifier
+from sklearn.impute import SimpleImputer
+from sklearn.linear_model import LogisticRegression
+from sklearn.naive_bayes import GaussianNB
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import MinMaxScaler, StandardScaler
+from sklearn.svm import LinearSVC
 from skops.io import dumps, get_untrusted_types, loads
 
 from semscape.errors import BadInputError
@@ -30,11 +36,13 @@ TRUSTED_TYPES = (
     "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
     "sklearn.tree._tree.Tree",
 )
+_FILLERS = (SimpleImputer, StandardScaler, MinMaxScaler)
+_DECIDERS = (GaussianNB, RandomForestClassifier, LogisticRegression, LinearSVC)
 
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """A classifier, the groups of traits that it takes, and where it comes from (plain values)."""
+    """A classifier, or a list of those blended; the groups of traits that it takes; its origin in plain values."""
 
     estimator: Any
     groups: tuple[str, ...]
@@ -65,7 +73,7 @@ def read_model(data: bytes, name: str) -> TrainedModel:
     Raises
     ------
     BadInputError
-        For a file that is no model of semscape's, or that holds a type beyond `TRUSTED_TYPES`.
+        For a file that is no model of semscape's, that holds a type beyond `TRUSTED_TYPES`, or that cannot score.
     """
     try:
         unknown = sorted(set(get_untrusted_types(data=data)) - set(TRUSTED_TYPES))
@@ -82,10 +90,42 @@ def read_model(data: bytes, name: str) -> TrainedModel:
         raise BadInputError(f"{name} cannot be read, perhaps another scikit-learn wrote it: {error}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BadInputError(f"{name} is not a model that semscape train wrote; its format is not {FORMAT}")
-    groups = tuple(content["groups"])
+    groups, estimator, origin = (content.get(key) for key in ("groups", "estimator", "origin"))
+    if not (isinstance(groups, list) and groups and all(isinstance(group, str) for group in groups)):
+        raise BadInputError(f"{name} does not say which groups of traits it takes; train a model with semscape train")
     if not set(groups) <= set(TRAITS):
         raise BadInputError(f"{name} asks for groups of traits that are not known: {', '.join(groups)}")
-    return TrainedModel(content["estimator"], groups, content["origin"])
+    model = TrainedModel(estimator, tuple(groups), origin if isinstance(origin, dict) else {})
+    try:
+        _require_sound(estimator)
+        trial = significance_model(model).probability(np.zeros((2, len(trait_names(groups))), np.float32))
+    except Exception as error:
+        raise BadInputError(f"{name} cannot score keypoints: {error}; train a model with semscape train") from error
+    if trial.shape != (2,) or not np.isfinite(trial).all():
+        raise BadInputError(f"{name} gives no probabilities; train a model with semscape train")
+    return model
+
+
+def _require_sound(estimator: Any) -> None:
+    """Raise for what `semscape.learning.classifiers` does not make, and for trees that may never end.
+
+    scikit-learn walks the trees of a forest without looking; boosted ones are checked where they are flattened.
+    """
+    if isinstance(estimator, list) and estimator and not any(isinstance(each, list) for each in estimator):
+        for each in estimator:
+            _require_sound(each)
+        return
+    if type(estimator) is HistGradientBoostingClassifier:
+        return
+    steps = [step for _, step in estimator.steps] if type(estimator) is Pipeline else [estimator]
+    if len(steps) < 2 or not all(type(step) in _FILLERS for step in steps[:-1]) or type(steps[-1]) not in _DECIDERS:
+        raise ValueError(f"it is made of {', '.join(type(step).__name__ for step in steps)}")
+    for tree in (each.tree_ for each in getattr(steps[-1], "estimators_", ())):
+        parent = np.flatnonzero(tree.children_left >= 0)
+        children = np.concatenate([tree.children_left[parent], tree.children_right[parent]])
+        ahead = (children > np.tile(parent, 2)) & (children < tree.node_count)
+        if not (ahead.all() and (tree.feature[parent] < tree.n_features).all() and (tree.feature[parent] >= 0).all()):
+            raise ValueError(f"a tree of {tree.node_count} nodes is not sound")
 
 
 def load_significance_model(path: str) -> SignificanceModel:
@@ -101,30 +141,41 @@ def load_significance_model(path: str) -> SignificanceModel:
 
 def significance_model(model: TrainedModel) -> SignificanceModel:
     """Return what scores keypoints: boosted trees and logistic regression flattened, else scikit-learn itself."""
-    if isinstance(model.estimator, HistGradientBoostingClassifier):
-        trees = tree_ensemble(model.estimator, len(trait_names(model.groups)))
-        return SignificanceModel(model.groups, trees.probability)
-    if "logisticregression" in getattr(model.estimator, "named_steps", {}):
-        return SignificanceModel(model.groups, _logistic_score(model.estimator))
+    several = model.estimator if isinstance(model.estimator, list) else [model.estimator]
+    parts = [_log_odds(each, len(trait_names(model.groups))) for each in several]
 
     def score(traits: NDArray[np.float32]) -> FloatArray:
-        return probability(model.estimator, traits)
+        odds: FloatArray = expit(sum(part(traits) for part in parts) / len(parts))
+        return odds
 
     return SignificanceModel(model.groups, score)
 
 
-def _logistic_score(estimator: Any) -> Callable[[NDArray[np.float32]], FloatArray]:
+def _log_odds(estimator: Any, n_features: int) -> Callable[[NDArray[np.float32]], FloatArray]:
+    if isinstance(estimator, HistGradientBoostingClassifier):
+        return tree_ensemble(estimator, n_features).log_odds
+    if "logisticregression" in getattr(estimator, "named_steps", {}):
+        return _line(estimator)
+
+    def log_odds(traits: NDArray[np.float32]) -> FloatArray:
+        odds: FloatArray = logit(probability(estimator, traits))
+        return odds
+
+    return log_odds
+
+
+def _line(estimator: Any) -> Callable[[NDArray[np.float32]], FloatArray]:
     """Return filling, scaling and the linear model as one product."""
     filler, scaler, linear = estimator
     weights = linear.coef_[0] / scaler.scale_
     offset = float(linear.intercept_[0] - weights @ scaler.mean_)
     filling = filler.statistics_.astype(np.float32)
 
-    def score(traits: NDArray[np.float32]) -> FloatArray:
-        odds: FloatArray = expit(np.where(np.isnan(traits), filling, traits) @ weights + offset)
+    def log_odds(traits: NDArray[np.float32]) -> FloatArray:
+        odds: FloatArray = np.where(np.isnan(traits), filling, traits) @ weights + offset
         return odds
 
-    return score
+    return log_odds
 
 
 def tree_ensemble(estimator: HistGradientBoostingClassifier, n_features: int) -> TreeEnsemble:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from semscape.errors import BadInputError
-from semscape.features.traits import TRAITS
+from semscape.features.traits import TRAITS, trait_names
 from semscape.io.learning_files import read_arrays, write_arrays
 from semscape.io.run_folder import put_files
 from semscape.io.series import load_series
@@ -22,7 +22,7 @@ from semscape.learning.validate import PROTOCOLS, Summary, summarize, validate
 from semscape.options import Options
 
 SHIPPED_TRAITS = ("detector", "margin", "local", "density", "descriptor")
-SHIPPED_CLASSIFIER = "logistic"
+SHIPPED_CLASSIFIER = "blend"
 ROWS_PER_GROUP = 20_000
 ROWS_TO_VALIDATE = 4_000
 Progress = Callable[[str], None]
@@ -88,7 +88,8 @@ def train_model(
     if dataset.significant.all() or not dataset.significant.any():
         raise BadInputError("the dataset holds one class alone; there is nothing to tell apart")
     chosen = capped(dataset, rows_per_group, rng=np.random.default_rng(seed))
-    estimator = fitted(classifier, chosen.columns(traits), chosen.significant, group=chosen.group, seed=seed)
+    features, names = chosen.columns(traits), trait_names(traits)
+    estimator = fitted(classifier, features, chosen.significant, names=names, group=chosen.group, seed=seed)
     origin = {
         "groups": list(dataset.groups),
         "keypoints": len(chosen),
@@ -118,6 +119,12 @@ def validation_rows(
 ) -> list[Summary]:
     """Return the validation summary of some classifiers under some protocols."""
     require_known(classifiers, traits)
+    specimens = set(dataset.specimen)
+    if "unseen" in protocols and len(specimens) < 2:
+        raise BadInputError(
+            f"the dataset holds one specimen alone, {', '.join(specimens)}; to leave it out, add a dataset of another "
+            "one: the specimen is the folder's name up to the first '-'"
+        )
     return [
         summarize(scored)
         for protocol in protocols

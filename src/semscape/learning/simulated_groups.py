@@ -12,7 +12,7 @@ from semscape.errors import BadInputError
 from semscape.learning.dataset import Dataset, label_group
 from semscape.options import Options
 from semscape.simulate import PRESETS, SPECIMENS, SimulationOptions, simulate
-from semscape.types import TiltSeries
+from semscape.types import SimulationTruth, TiltSeries
 
 N_GROUPS = 14
 _VIEWS = 4
@@ -41,18 +41,25 @@ def simulated_group(
 
     In every second group the tilt axis is told.
     """
+    return simulated_group_with_truth(number, seed, size_px=size_px, workers=workers)[:2]
+
+
+def simulated_group_with_truth(
+    number: int, seed: int, *, size_px: int = SIZE_PX, workers: int | None = None
+) -> tuple[str, TiltSeries, SimulationTruth]:
+    """Return what `simulated_group` returns, and what the series really is."""
     rng = np.random.default_rng([seed, number])
     names = tuple(SPECIMENS)
     specimen = names[number % len(names)]
     options = draw_microscope(_PRESETS[number // len(names) % len(_PRESETS)], rng=rng, size_px=size_px)
-    series, _ = simulate(specimen, options, rng=int(rng.integers(2**31)), workers=workers)
+    series, truth = simulate(specimen, options, rng=int(rng.integers(2**31)), workers=workers)
     if number % 2:
         told = tuple(
             replace(view, metadata=replace(view.metadata, tilt_axis_angle_rad=math.radians(options.axis_deg)))
             for view in series.views
         )
         series = replace(series, views=told)
-    return f"{specimen}-{number // len(names)}", series
+    return f"{specimen}-{number // len(names)}", series, truth
 
 
 def simulated_dataset_parts(

@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 from sklearn.model_selection import StratifiedKFold
 
 from semscape.errors import BadInputError
+from semscape.features.traits import trait_names
 from semscape.learning.classifiers import fitted, probability
 from semscape.learning.dataset import Dataset, capped
 from semscape.types import BoolArray, FloatArray, IntArray, _Value
@@ -136,19 +136,18 @@ def validate(
         When the dataset holds one specimen alone and the protocol is "unseen".
     """
     dataset = capped(dataset, rows_per_group, rng=np.random.default_rng(seed))
-    features = dataset.columns(trait_groups)
     specimen = np.array(dataset.specimen)[dataset.group]
     for name in classifiers:
         if protocol == "pooled":
-            folds = StratifiedKFold(_FOLDS, shuffle=True, random_state=seed).split(features, dataset.significant)
-            yield _score(name, protocol, "all", dataset, features, list(folds), seed)
+            folds = StratifiedKFold(_FOLDS, shuffle=True, random_state=seed).split(dataset.xy, dataset.significant)
+            yield _score(name, protocol, "all", dataset, trait_groups, list(folds), seed)
             continue
         for other in left_out or sorted(set(specimen)):
             test = specimen == other
             if test.all() or not test.any():
-                raise BadInputError(f"the dataset holds {other!r} alone or not at all; another specimen is needed")
+                raise BadInputError(f"the dataset holds {str(other)!r} alone or not at all; another specimen is needed")
             split = (np.flatnonzero(~test), np.flatnonzero(test))
-            yield _score(name, protocol, other, dataset, features, [split], seed)
+            yield _score(name, protocol, other, dataset, trait_groups, [split], seed)
 
 
 def _score(
@@ -156,15 +155,17 @@ def _score(
     protocol: str,
     specimen: str,
     dataset: Dataset,
-    features: NDArray[np.float32],
+    trait_groups: Sequence[str],
     splits: list[tuple[IntArray, IntArray]],
     seed: int,
 ) -> Scored:
+    features, names = dataset.columns(trait_groups), trait_names(trait_groups)
     scores, rows = [], []
     train_s = score_s = 0.0
     for train, test in splits:
         start = time.process_time()
-        estimator = fitted(name, features[train], dataset.significant[train], group=dataset.group[train], seed=seed)
+        known, group = dataset.significant[train], dataset.group[train]
+        estimator = fitted(name, features[train], known, names=names, group=group, seed=seed)
         trained = time.process_time()
         scores.append(probability(estimator, features[test]))
         rows.append(test)
