@@ -105,7 +105,7 @@ def test_evidence_finds_the_curvature_of_the_surface(tau: float) -> None:
 def test_refining_lowers_the_error_and_knows_it() -> None:
     true = np.tile(20 + 6 * np.sin(COLUMNS / 25), (SHAPE[0], 1))
     rough = true + np.random.default_rng(4).normal(0, 0.5, SHAPE)
-    found = refine_by_evidence(rough, look_at(true[0]))
+    found = refine_by_evidence(rough, look_at(true[0]), look_at(true[0]))
     inner = np.s_[15:-15, 25:-25]
     error = np.abs(found.height - true)[inner]
     assert np.sqrt(np.mean(error**2)) < 0.5 * 0.5
@@ -115,11 +115,12 @@ def test_refining_lowers_the_error_and_knows_it() -> None:
 def test_sigma_holds_on_the_ridge_of_a_roof() -> None:
     """Smoothing rounds off a ridge, which the variance of the neighbourhood does not tell: without it 0.39."""
     true = np.tile(30 - np.abs(COLUMNS - 75), (SHAPE[0], 1))
-    found = refine_by_evidence(true, look_at(true[0]))
+    found = refine_by_evidence(true, look_at(true[0]), look_at(true[0]))
     ridge = np.s_[15:-15, 73:78]
     assert 0.5 < np.mean(np.abs(found.height - true)[ridge] < found.uncertainty[ridge]) < 0.9
 
 
 def test_an_unknown_map_stays_unknown() -> None:
     unknown = np.full(SHAPE, np.nan)
-    assert np.isnan(refine_by_evidence(unknown, look_at(np.zeros(SHAPE[1]))).height).all()
+    nothing = look_at(np.zeros(SHAPE[1]))
+    assert np.isnan(refine_by_evidence(unknown, nothing, nothing).height).all()

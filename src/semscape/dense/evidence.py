@@ -19,23 +19,21 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from semscape.dense.consistency import ComparedViews, compare_views
+from semscape.dense.given import GIVEN_NOISE_PX, JUMP_PX, smoothed, without_spikes
 from semscape.dense.lateral import half_passing_period
 from semscape.dense.posterior import (
     DataTerm,
     LatticeTable,
-    Smoothness,
     averaging_width,
     height_variance,
     most_probable,
     smoothness_by_evidence,
-    smoothness_cut,
 )
 from semscape.dense.sampling import gaussian_window
 from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.dense.sweep import Views
 from semscape.types import BoolArray, FloatArray, ImageArray
 
-_FIRST_ROUNDS = 3
 _ROUNDS = 4
 # Gain and offset are taken out over this neighbourhood: shading that changes with tilt is smooth beside texture.
 _NORMALIZING_PX = 2.5
@@ -47,13 +45,8 @@ _WIDTHS_PX = (1.5, 3.0, 6.0, 12.0)
 _ALL_AGREE = 0.5
 _LEAST_SAMPLE = 1000
 _SAMPLED_PX = 2
-_JUMP_PX = 1.0
 _SPIKE_PX = 5
 _MAX_STEP_PX = 0.5
-_START_TAU = 0.5
-# The noise of the given heights' disparity, and over how many pixels it errs alike.
-_GIVEN_NOISE_PX = 0.6
-_GIVEN_CORRELATED = 10.0
 # Beside a jump: how far the views' windows reach, and over what they are asked again.
 _BESIDE_PX = 6
 _PLACE_PX = 1.5
@@ -91,7 +84,7 @@ class _Noise:
     slow: float
 
 
-def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
+def refine_by_evidence(start: FloatArray, views: Views, calm: Views) -> RefinedHeights:
     """Return the most probable heights near the given ones, in px, with their 1-sigma uncertainty.
 
     Parameters
@@ -100,6 +93,8 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
         In px, crisp at jumps, NaN where unknown. Specks of a few unknown pixels far from jumps are tried from their
         neighbours; what else is unknown, and where no two views agree, is unknown in the end.
     views : Views
+    calm : Views
+        The same, smoothed more against noise: of these is asked whether they agree.
 
     References
     ----------
@@ -110,18 +105,13 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
     if not known.any():
         return RefinedHeights(start, start, np.zeros(start.shape, np.uint8), start.astype(np.float32))
     base = views.baseline
-    given = _without_spikes(filled_from_nearest(start), _JUMP_PX / base)
-    known |= _specks(~known) & ~_spans(given, 2 * _JUMP_PX / base)
-    cut = smoothness_cut(np.where(known, given, np.nan), _JUMP_PX / base)
+    given = without_spikes(filled_from_nearest(start), JUMP_PX / base)
+    known |= _specks(~known) & ~_spans(given, 2 * JUMP_PX / base)
     table = LatticeTable()
-    prior = Smoothness(np.full(given.shape, _START_TAU**2), np.ones(given.shape))
-    held = known * (base / _GIVEN_NOISE_PX) ** 2 / _GIVEN_CORRELATED
-    # Conjugate gradients are slow with what is smooth: they start from what is near.
-    stiffness, height = held, np.asarray(cv2.medianBlur(given.astype(np.float32), _SPIKE_PX), np.float64)
-    for _ in range(_FIRST_ROUNDS):
-        height = most_probable(height, DataTerm(held, held * (given - height)), cut, prior)
-        prior = smoothness_by_evidence(height, held, cut, prior, table)
-    beside = _beside_jumps(np.where(known, height, np.nan), _JUMP_PX / base)
+    first = smoothed(given, known, base, table)
+    held, cut, height, prior = first.stiffness, first.cut, first.height, first.prior
+    stiffness = held
+    beside = _beside_jumps(np.where(known, height, np.nan), JUMP_PX / base)
     for _ in range(_ROUNDS):
         width = np.clip(averaging_width(stiffness, known, prior, table), _WIDTHS_PX[0], _WIDTHS_PX[-1])
         seen = compare_views(height, known, views.samplers, views.parallax, _NORMALIZING_PX)
@@ -139,9 +129,9 @@ def refine_by_evidence(start: FloatArray, views: Views) -> RefinedHeights:
     # it would take from the heights found once more.
     again = most_probable(height, DataTerm(stiffness, np.zeros_like(height)), cut, prior)
     taken = gaussian_window(((height - again) ** 2).astype(np.float32), _CREASE_PX)
-    at_jump = np.maximum(variance, (_GIVEN_NOISE_PX / base) ** 2) + _wanted_shift(pull, sharpness) ** 2
+    at_jump = np.maximum(variance, (GIVEN_NOISE_PX / base) ** 2) + _wanted_shift(pull, sharpness) ** 2
     variance = np.where(beside, at_jump, variance + taken)
-    agreeing = compare_views(height, known, views.samplers, views.parallax, _AGREEMENT_PX).weights > _ALL_AGREE
+    agreeing = compare_views(height, known, calm.samplers, calm.parallax, _AGREEMENT_PX).weights > _ALL_AGREE
     n_views = agreeing.sum(axis=0)
     found = np.isfinite(without_islands(np.where(known & (n_views >= 2), height, np.nan), base))
     return RefinedHeights(
@@ -217,12 +207,6 @@ def _wanted_shift(pull: FloatArray, sharpness: NDArray[np.floating]) -> FloatArr
     force = gaussian_window(pull.astype(np.float32), _PLACE_PX)
     sharp = np.maximum(gaussian_window(sharpness.astype(np.float32), _PLACE_PX), np.float32(1e-9))
     return np.asarray(force / sharp, np.float64)
-
-
-def _without_spikes(height: FloatArray, limit: float) -> FloatArray:
-    """Replace what stands out of its 5 x 5 px by more than `limit`: narrower than the beam and so no shape."""
-    median = np.asarray(cv2.medianBlur(height.astype(np.float32), _SPIKE_PX), np.float64)
-    return np.where(np.abs(height - median) > limit, median, height)
 
 
 def _beside_jumps(height: FloatArray, limit: float) -> BoolArray:

@@ -27,8 +27,9 @@ _LEAST_BASELINE = 0.01
 _WIDEST_TILT_RAD = np.deg2rad(30.0)
 _RANGE_MARGIN = 0.15
 _JUMP_PX = 1.0
-_SWEEP_PRESMOOTH_PX = 0.5
-_EVIDENCE_PRESMOOTH_PX = 0.7
+_PRESMOOTH_PX = 0.5
+# Whether views agree is asked of images with less noise.
+_AGREEMENT_PRESMOOTH_PX = 0.7
 
 
 @dataclass(frozen=True)
@@ -134,8 +135,8 @@ def _refined_map(series: TiltSeries, reconstruction: Reconstruction, frame: Fram
         )
         return Views(samplers, parallax, reconstruction.reference)
 
-    sharp_px = sharpen_jumps(start_px, views(_SWEEP_PRESMOOTH_PX))
-    refined = refine_by_evidence(sharp_px, views(_EVIDENCE_PRESMOOTH_PX))
+    sharp_px = sharpen_jumps(start_px, views(_PRESMOOTH_PX))
+    refined = refine_by_evidence(sharp_px, views(_PRESMOOTH_PX), views(_AGREEMENT_PRESMOOTH_PX))
     return HeightMap(
         height_um=refined.height * pixel_size,
         uncertainty_um=refined.uncertainty * pixel_size,

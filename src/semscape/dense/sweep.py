@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.dense.consistency import compare_views
+from semscape.dense.given import JUMP_PX, median_of, smoothed, without_spikes
+from semscape.dense.posterior import LatticeTable
 from semscape.dense.sampling import ViewSampler, gaussian_window
 from semscape.dense.semi_global import least_cost
 from semscape.dense.stereo import filled_from_nearest, without_speckles
@@ -98,25 +100,31 @@ def sharpen_jumps(start: FloatArray, views: Views) -> FloatArray:
     wanted = _near_jumps(start, views.baseline)
     if not np.isfinite(start).any() or not wanted.any():
         return start
-    filled = _median(filled_from_nearest(start))
+    filled = median_of(filled_from_nearest(start))
     coarse = _labels(filled, _COARSE_STEP_PX, views.baseline)
     level = np.zeros(start.shape, np.int32)
     # At first brightness is compared over the whole field: beside a smeared jump the wrong places lie in any window.
     found = _sweep(coarse, wanted, level, views, _brightness(filled, views, None))
-    surface = _median(filled_from_nearest(np.where(wanted, found, start)))
+    surface = median_of(filled_from_nearest(np.where(wanted, found, start)))
     found = _sweep(coarse, wanted, level, views, _brightness(surface, views, _GAIN_WINDOW_PX))
-    prior = filled_from_nearest(_better(start, found, views))
+    surface = _without_stairs(np.where(wanted, found, start), views.baseline)
     fine = _labels(filled, _FINE_STEP_PX, views.baseline)
-    slopes = np.rint(prior / fine.step).astype(np.int32)
-    found = _sweep(fine, wanted, slopes, views, _brightness(prior, views, _GAIN_WINDOW_PX))
+    slopes = np.rint(surface / fine.step).astype(np.int32)
+    found = _sweep(fine, wanted, slopes, views, _brightness(surface, views, _GAIN_WINDOW_PX))
     return _better(start, found, views)
+
+
+def _without_stairs(height: FloatArray, baseline: float) -> FloatArray:
+    """Smooth heights that are whole steps; the pairs' own slopes lead up to a jump where the ground is flat."""
+    given = without_spikes(filled_from_nearest(height), JUMP_PX / baseline)
+    return smoothed(given, np.isfinite(height), baseline, LatticeTable()).height
 
 
 def _near_jumps(start: FloatArray, baseline: float) -> BoolArray:
     """Return where the pairs' disparity jumps or, in more than specks, is unknown, and around."""
     unknown = np.isnan(start).astype(np.uint8)
     holes = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_SPECK_PX, _SPECK_PX), np.uint8))
-    disparity = _median(filled_from_nearest(start) * baseline)
+    disparity = median_of(filled_from_nearest(start) * baseline)
     jump = np.zeros(start.shape, bool)
     for side, span in _JUMPS:
         square = np.ones((side, side), np.uint8)
@@ -245,7 +253,3 @@ def _better(refined: FloatArray, swept: FloatArray, views: Views) -> FloatArray:
     seen = compare_views(filled_from_nearest(sharp), np.isfinite(sharp), views.samplers, views.parallax, _AGREEMENT_PX)
     replaced &= (seen.weights > 0.5).sum(axis=0) >= 2
     return np.where(replaced, swept, refined)
-
-
-def _median(height: FloatArray) -> FloatArray:
-    return np.asarray(cv2.medianBlur(height.astype(np.float32), 5), np.float64)
