@@ -125,6 +125,7 @@ def run_object_into(
     """Reconstruct a full object into a run folder, with progress on stderr and the report's place on stdout."""
     from semscape.batch.full_object_run import reconstruct_object_folder
     from semscape.report.console import StageLines, print_line
+    from semscape.report.full_object import object_verdict
 
     with StageLines(console(err=True), quiet=not lines) as progress:
         found = reconstruct_object_folder(folder, output, options, workers=workers, progress=progress)
@@ -133,6 +134,7 @@ def run_object_into(
     for warning in found.motion.doubts if lines else ():
         print_line(f"warning: {warning}", console(err=True), "yellow")
     mesh, measured = found.merged.mesh, found.merged.measured
+    print_line(object_verdict(found), console())
     print_line(f"{len(mesh.faces):,} triangles from {len(found.maps)} groups of views", console())
     print_line(f"{measured:.0%} of the surface is seen by views, the rest closes the body", console())
     print_line(f"report: {output / 'report.html'}", console())

@@ -34,7 +34,7 @@ from semscape.sfm.plausibility import (
     stage_contradictions,
 )
 from semscape.sfm.priors import MotionPrior, motion_prior
-from semscape.sfm.relief import relief_sign
+from semscape.sfm.relief import ReliefSign, relief_sign
 from semscape.types import (
     BoolArray,
     FloatArray,
@@ -125,10 +125,11 @@ def calibrate(
     learnt, final = adjust_learning_anisotropy(
         first, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion
     )
+    relief = relief_sign(series, replace(kept, xy=as_seen), final.points_um, prior, options)
     perspective = None
     if options.camera != "orthographic":
         perspective = _perspective(series, kept, final, learnt, options, overdispersion)
-        if _is_taken(perspective, options):
+        if _is_taken(perspective, relief.sign, options):
             # Parallel projection has made the noise look larger, and shared by neighbours: outliers are judged again.
             left, again, overdispersion = _kept(perspective.observations, perspective.adjustment, series.n_views)
             kept, as_seen = replace(left, xy=kept.xy[again]), as_seen[again]
@@ -140,25 +141,25 @@ def calibrate(
                 overdispersion=overdispersion,
             )
             perspective = _perspective(series, kept, final, learnt, options, overdispersion)
-        if _is_taken(perspective, options):
+        if _is_taken(perspective, relief.sign, options):
             kept, final = perspective.observations, perspective.adjustment
             no_parallax = require_parallax(series, kept, prior)  # perspective had spread the points both ways
     doubts = no_parallax + doubts
     points_variance_um2 = np.einsum("pii->pi", points_covariance(final, kept, TiltSeriesModel(prior), overdispersion))
     reconstruction = replace(
-        _reconstruction(series, replace(kept, xy=as_seen), final, points_variance_um2, prior, options, doubts),
+        _reconstruction(series, replace(kept, xy=as_seen), final, points_variance_um2, prior, relief, options, doubts),
         prior_mean=prior.centre_and_sigma()[0],
         prior_sigma=replace(learnt, anisotropy_sigma=learnt.expected_anisotropy).centre_and_sigma()[1],
         mirror_margin=mirror_margin(kept, final, learnt, options, overdispersion),
         height_scale_relative_sigma_of_images=images_height_scale_sigma(kept, final, learnt, overdispersion),
     )
     if perspective is not None:
-        reconstruction = _with_camera(series, reconstruction, perspective, final, options)
+        reconstruction = _with_camera(series, reconstruction, perspective, relief.sign, final, options)
     return Calibration(reconstruction, found.evolution, final.sigma_px, overdispersion, drift_px)
 
 
-def _is_taken(perspective: PerspectiveFit, options: SfmOptions) -> bool:
-    return options.camera == "perspective" or perspective.margin > 0
+def _is_taken(perspective: PerspectiveFit, sign: float, options: SfmOptions) -> bool:
+    return options.camera == "perspective" or (perspective.margin > 0 and perspective.is_possible(sign))
 
 
 def _kept(observations: Observations, adjustment: Adjustment, n_views: int) -> tuple[Observations, BoolArray, float]:
@@ -211,18 +212,30 @@ def _perspective(
 
 
 def _with_camera(
-    series: TiltSeries, reconstruction: Reconstruction, fit: PerspectiveFit, final: Adjustment, options: SfmOptions
+    series: TiltSeries,
+    reconstruction: Reconstruction,
+    fit: PerspectiveFit,
+    sign: float,
+    final: Adjustment,
+    options: SfmOptions,
 ) -> Reconstruction:
     """State which camera was taken and why; the sign of the distance must agree with that of the relief."""
     taken = final is fit.adjustment and fit.inverse_distance_per_um != 0
     unit = reconstruction.length_unit
-    mirrored = float(reconstruction.motion.tilt_rad @ final.parameters[1::PARAMETERS_PER_VIEW]) < 0
-    inverse_distance = -fit.inverse_distance_per_um if mirrored else fit.inverse_distance_per_um
+    inverse_distance = sign * fit.inverse_distance_per_um
     warnings = list(reconstruction.warnings)
-    if fit.margin > 0 and inverse_distance < 0:
+    if fit.margin > 0 and not fit.is_possible(sign):
+        where = (
+            "on the far side of the specimen, so that what is nearer looks smaller"
+            if inverse_distance < 0
+            else "amid the specimen's heights"
+        )
         warnings.append(
-            f"the perspective says ({abs(inverse_distance) / fit.sigma_per_um:.1f} sigma) that the relief is turned "
-            "inside out: what is nearer looks larger. Check the sign of the tilts, or --invert-relief"
+            f"the images fit a perspective camera better (its information criterion by {fit.margin:.0f}), but none "
+            f"that can be: its centre of projection lies {1 / abs(inverse_distance):.3g} {unit} away "
+            f"({abs(inverse_distance) / fit.sigma_per_um:.1f} sigma) {where}. "
+            f"{'It is taken as asked for' if taken else 'Parallel projection is kept'}: the scan's distortions may "
+            "look like that, or the relief is turned inside out; check the sign of the tilts, or --invert-relief"
         )
     if taken:
         height_um = np.percentile(np.abs(reconstruction.points_um[:, 2]), 99)
@@ -265,20 +278,20 @@ def _reconstruction(
     final: Adjustment,
     points_variance_um2: FloatArray,
     prior: MotionPrior,
+    relief: ReliefSign,
     options: SfmOptions,
     doubts: list[str],
 ) -> Reconstruction:
     motion = _motion(final.parameters, prior)
     points = final.points_um
-    sign, ambiguity, confidence, warnings = relief_sign(series, observations, points, prior, options)
-    if sign < 0:
+    if relief.sign < 0:
         motion = replace(motion, tilt_rad=-motion.tilt_rad)
         points = points * np.array([1.0, 1.0, -1.0])
     motion, points = _centre_world(motion, points, series.shape, prior.reference)
 
     covariance = final.covariance.copy()
     signs = np.ones(len(covariance))
-    signs[1::PARAMETERS_PER_VIEW] = sign * (-1.0 if wrap_axis_angle(final.parameters[0])[1] else 1.0)
+    signs[1::PARAMETERS_PER_VIEW] = relief.sign * (-1.0 if wrap_axis_angle(final.parameters[0])[1] else 1.0)
     covariance *= signs[:, None] * signs
     tilt_covariance = covariance[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
     height_scale_sigma = height_scale_relative_sigma(motion.tilt_rad, tilt_covariance)
@@ -286,7 +299,7 @@ def _reconstruction(
     contradictions = doubts + prior_contradictions(
         series.names, final.parameters, tilt_covariance, prior, tilts_doubted=bool(doubts)
     )
-    warnings += height_scale_warnings(height_scale_sigma, prior)
+    warnings = [*relief.warnings, *height_scale_warnings(height_scale_sigma, prior)]
     if options.camera == "orthographic":
         warnings += perspective_warnings(series, motion.tilt_rad, points[:, 2])
     source: TiltSource = "self-calibrated" if prior.self_calibrated else _told_by(series)
@@ -302,8 +315,8 @@ def _reconstruction(
         tilt_prior_rad=series.tilt_rad,
         tilt_source=source,
         height_scale_relative_sigma=height_scale_sigma,
-        ambiguity=ambiguity,
-        relief_confidence=confidence,
+        ambiguity=relief.ambiguity,
+        relief_confidence=relief.confidence,
         rms_px=float(np.sqrt(np.mean((final.residual_px**2).sum(axis=1)))),
         reference=prior.reference,
         length_unit=series.length_unit,

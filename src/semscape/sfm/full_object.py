@@ -15,9 +15,11 @@ from semscape.errors import BadInputError
 from semscape.geometry.rotations import roll_rotation, tilted_cam_from_world
 from semscape.options import SfmOptions
 from semscape.sfm.adjust import Adjustment, refine, robust_cost
+from semscape.sfm.ambiguity import height_scale_relative_sigma
 from semscape.sfm.eliminated import eliminated_cost, pattern_scatters
 from semscape.sfm.models import camera_jacobians as tilted_jacobians
 from semscape.sfm.models import cross_matrix, inverted
+from semscape.sfm.noise import residual_overdispersion
 from semscape.sfm.plausibility import against_the_stage
 from semscape.types import FloatArray, Observations, TiltSeries
 
@@ -77,6 +79,7 @@ class FullObjectMotion:
 
     The parameters of `adjustment` are those of `FullObjectModel`. `sense_margin` is by how much the stage's rotation,
     read clockwise, costs more than counter-clockwise, twice a logarithm of likelihoods; near 0 no track tells.
+    `overdispersion` is by how much neighbouring keypoints that err alike inflate the variance of the data.
     `contradictions` name the views whose told tilt or rotation is more than 3 sigma from what the images say.
     """
 
@@ -87,6 +90,7 @@ class FullObjectMotion:
     scale_px_per_um: FloatArray
     adjustment: Adjustment
     sense_margin: float = 0.0
+    overdispersion: float = 1.0
     contradictions: tuple[str, ...] = ()
 
     @property
@@ -95,9 +99,19 @@ class FullObjectMotion:
         return self.sense_margin < -_CLEAR_MARGIN
 
     @property
+    def sense_is_open(self) -> bool:
+        """Whether the tracks leave open in which sense the stage's rotation is told."""
+        return abs(self.sense_margin) < _CLEAR_MARGIN
+
+    def height_scale_relative_sigma(self, views: tuple[int, ...]) -> float:
+        """Return the relative sigma of the heights that some views of one stage rotation give."""
+        own = 1 + PARAMETERS_PER_VIEW * np.array(views)
+        return height_scale_relative_sigma(self.tilt_rad[list(views)], self.adjustment.covariance[np.ix_(own, own)])
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """What the images contradict, and what they leave open."""
-        if abs(self.sense_margin) >= _CLEAR_MARGIN:
+        if not self.sense_is_open:
             return self.contradictions
         return (
             *self.contradictions,
@@ -155,11 +169,21 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
         )
         for sense, model in models.items()
     }
-    sigma_px = min(end.sigma_px for end in ends.values())
-    cost = {sense: robust_cost(ends[sense].parameters, observations, models[sense], sigma_px) for sense in _SENSES}
+    best = min(ends.values(), key=lambda end: end.sigma_px)
+    overdispersion = residual_overdispersion(best.residual_px, observations, best.weights, best.sigma_px, len(tilt))
+    cost = {
+        sense: robust_cost(ends[sense].parameters, observations, models[sense], best.sigma_px, overdispersion)
+        for sense in _SENSES
+    }
     margin = cost[-1.0] - cost[1.0]
     sense = -1.0 if margin < -_CLEAR_MARGIN else 1.0  # as `FullObjectMotion.clockwise`
-    found = ends[sense]
+    found = refine(
+        ends[sense].parameters,
+        observations,
+        models[sense],
+        max_iterations=options.max_iterations,
+        overdispersion=overdispersion,
+    )
     per_view = found.parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
     rotations = tilted_cam_from_world(found.parameters[0], per_view[:, 0], per_view[:, 1]) @ roll_rotation(
         per_view[:, 4]
@@ -172,6 +196,7 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
         scale * (1 + per_view[:, 2]),
         found,
         margin,
+        overdispersion,
         tuple(_against_the_stage(series.names, tilt, sense * rotation, found, options)),
     )
 
