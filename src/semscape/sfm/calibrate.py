@@ -107,12 +107,14 @@ def calibrate(
         doubts += stage_contradictions(
             series.names, found.patterns, found.evolution.parameters, unbound.parameters, n_free, prior
         )
-    first = adjust(
-        with_translations(found.evolution.parameters, observations, series.n_views),
-        observations,
-        prior,
-        max_iterations=options.max_iterations,
-    )
+    start = with_translations(found.evolution.parameters, observations, series.n_views)
+    first = adjust(start, observations, prior, max_iterations=options.max_iterations)
+    axis, turned_over = wrap_axis_angle(first.parameters[0])
+    if turned_over and not np.isfinite(prior.axis_sigma_rad):
+        # A view that fits badly may push a free axis round, which reverses what a tilt means. The mirror image, with
+        # the told tilts about the axis in its half turn, fits as well.
+        start = np.concatenate([[axis], first.parameters[1:]])
+        first = adjust(start, observations, prior, max_iterations=options.max_iterations)
     kept, keep, overdispersion = _kept(observations, first, series.n_views)
     drift_px = np.zeros(series.n_views)
     if overdispersion > _SHARED_ERRORS and options.scan_drift_degree >= 2:
