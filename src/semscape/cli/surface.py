@@ -45,6 +45,10 @@ def reconstruct(
         str | None,
         typer.Option(metavar="MODEL", help="Camera: orthographic, perspective, or auto, which fits both and chooses."),
     ] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="thesis: the textbook route to the tilts, a baseline and no measurement."),
+    ] = None,
     invert_relief: Annotated[
         bool | None,
         typer.Option("--invert-relief/--keep-relief", help="Mirror a relief whose sign nothing but shading fixed."),
@@ -62,7 +66,17 @@ def reconstruct(
     """Reconstruct the surface from a folder of tilted images and write a run folder."""
     with exit_codes(debug=debug, quiet=quiet, log_json=log_json):
         options = effective_options(
-            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep, camera
+            options_file,
+            settings,
+            tilts,
+            pixel_size_um,
+            axis_deg,
+            seed,
+            invert_relief,
+            scale_bar_um,
+            keep,
+            camera,
+            preset,
         )
         run = run_object_into if full_object else run_into
         run(folder, output, options, workers=workers, quiet=quiet, lines=not (quiet or log_json))
