@@ -21,7 +21,7 @@ from semscape.options import MeshOptions, Options
 from semscape.report.full_object import object_verdict, write_full_object
 from semscape.sfm.adjust import Adjustment
 from semscape.sfm.full_object import PARAMETERS_PER_VIEW, FullObjectMotion
-from semscape.types import HeightMap, Micrograph, StageReport, TiltSeries
+from semscape.types import HeightMap, Micrograph, Observations, StageReport, TiltSeries
 
 SIDE, PIXEL, RADIUS = 50, 0.2, 4.0
 
@@ -47,7 +47,8 @@ def ball() -> FullObject:
     four, nothing = np.zeros(4), np.empty(0)
     parameters = np.zeros(1 + 4 * PARAMETERS_PER_VIEW)
     adjustment = Adjustment(parameters, np.eye(len(parameters)), nothing, nothing, nothing, 0.3, 1.0, 1)
-    motion = FullObjectMotion(np.tile(np.eye(3), (4, 1, 1)), 0.0, four, four, four + 5, adjustment)
+    tracks = Observations(nothing.astype(int), nothing.astype(int), np.empty((0, 2)))
+    motion = FullObjectMotion(np.tile(np.eye(3), (4, 1, 1)), 0.0, four, four, four + 5, tracks, adjustment)
     quarter = np.pi / 2
     sides = [(0.0, k * quarter) for k in range(4)] + [(quarter, quarter), (quarter, -quarter)]
     maps = tuple(half_ball(*side) for side in sides)

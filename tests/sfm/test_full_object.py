@@ -93,6 +93,18 @@ def test_errors_that_neighbours_share_widen_the_sigmas() -> None:
         assert abs((TILT[1] - TILT[0]) / steps - 1) < 3 * group < 0.2
 
 
+def test_wrong_tracks_put_no_reading_in_doubt() -> None:
+    """A view of which a tenth of the keypoints lie up to 25 px off, all to one side, says nothing against its stage."""
+    series, observations, _ = dome()
+    rng = np.random.default_rng(4)
+    wrong = (observations.view == 5) & (rng.uniform(size=len(observations.view)) < 0.1)
+    off = wrong[:, None] * np.column_stack([rng.uniform(5, 25, len(wrong)), rng.normal(0, 2, len(wrong))])
+    found = calibrate_full_object(series, replace(observations, xy=observations.xy + off), SfmOptions())
+    assert not found.doubts
+    assert len(found.observations.view) < len(observations.view) - 0.8 * wrong.sum()
+    assert len(found.adjustment.points_um) == found.observations.n_points
+
+
 @pytest.mark.parametrize("told", [1.0, -1.0])
 def test_the_sign_of_the_tilts_decides_the_hand(told: float) -> None:
     """The mirrored body under reversed tilts gives the same images: what is told decides, whatever the axis."""

@@ -22,7 +22,7 @@ from semscape.sfm.anisotropy import adjust_learning_anisotropy
 from semscape.sfm.drift import ScanDrift, fit_drift
 from semscape.sfm.evolve import Evolution, evolve, search
 from semscape.sfm.models import PARAMETERS_PER_VIEW, TiltSeriesModel
-from semscape.sfm.noise import free_share, residual_overdispersion
+from semscape.sfm.noise import residual_overdispersion, without_outliers
 from semscape.sfm.perspective import PerspectiveFit, fit_perspective
 from semscape.sfm.plausibility import (
     height_scale_warnings,
@@ -45,7 +45,6 @@ from semscape.types import (
     TiltSource,
 )
 
-_REJECT_IN_SIGMAS = 5.0
 _LEAST_TRACKS = 24
 # Neighbouring residuals that move together this much, as a variance against independent ones, show scan drift.
 _SHARED_ERRORS = 1.5
@@ -166,7 +165,7 @@ def _is_taken(perspective: PerspectiveFit, sign: float, options: SfmOptions) -> 
 
 def _kept(observations: Observations, adjustment: Adjustment, n_views: int) -> tuple[Observations, BoolArray, float]:
     """Return the observations that are no outliers, which they are, and their overdispersion."""
-    kept, keep = _without_outliers(observations, adjustment)
+    kept, keep = without_outliers(observations, adjustment.residual_px, adjustment.sigma_px)
     overdispersion = residual_overdispersion(
         adjustment.residual_px[keep], kept, adjustment.weights[keep], adjustment.sigma_px, n_views
     )
@@ -261,17 +260,6 @@ def _why(fit: PerspectiveFit, options: SfmOptions) -> str:
     if options.camera == "perspective":
         return " as asked for"
     return f", for the images show it (its information criterion is better by {fit.margin:.0f})"
-
-
-def _without_outliers(observations: Observations, adjustment: Adjustment) -> tuple[Observations, BoolArray]:
-    """Drop observations beyond 5 sigma, and tracks that are left with fewer than two."""
-    keep = np.linalg.norm(adjustment.residual_px, axis=1) < (
-        _REJECT_IN_SIGMAS * adjustment.sigma_px * np.sqrt(free_share(observations))
-    )
-    left = np.bincount(observations.point, keep, minlength=observations.n_points)
-    keep &= left[observations.point] >= 2
-    _, point = np.unique(observations.point[keep], return_inverse=True)
-    return Observations(observations.view[keep], point.astype(np.int64), observations.xy[keep]), keep
 
 
 def _reconstruction(

@@ -19,7 +19,7 @@ from semscape.sfm.ambiguity import height_scale_relative_sigma
 from semscape.sfm.eliminated import eliminated_cost, pattern_scatters
 from semscape.sfm.models import camera_jacobians as tilted_jacobians
 from semscape.sfm.models import cross_matrix, inverted
-from semscape.sfm.noise import residual_overdispersion
+from semscape.sfm.noise import residual_overdispersion, without_outliers
 from semscape.sfm.plausibility import against_the_stage
 from semscape.types import FloatArray, Observations, TiltSeries
 
@@ -77,10 +77,11 @@ class FullObjectModel:
 class FullObjectMotion:
     """The rotations (V, 3, 3) from world to camera, with the adjustment that gave them.
 
-    The parameters of `adjustment` are those of `FullObjectModel`. `sense_margin` is by how much the stage's rotation,
-    read clockwise, costs more than counter-clockwise, twice a logarithm of likelihoods; near 0 no track tells.
-    `overdispersion` is by how much neighbouring keypoints that err alike inflate the variance of the data.
-    `contradictions` name the views whose told tilt or rotation is more than 3 sigma from what the images say.
+    `observations` are those that are no outliers, `adjustment` is to them, with the parameters of `FullObjectModel`.
+    `sense_margin` is by how much the stage's rotation, read clockwise, costs more than counter-clockwise, twice a
+    logarithm of likelihoods; near 0 no track tells. `overdispersion` is by how much neighbouring keypoints that err
+    alike inflate the variance of the data. `contradictions` name the views whose told tilt or rotation is more than 3
+    sigma from what the images say.
     """
 
     cam_from_world: FloatArray
@@ -88,6 +89,7 @@ class FullObjectMotion:
     tilt_rad: FloatArray
     rotation_rad: FloatArray
     scale_px_per_um: FloatArray
+    observations: Observations
     adjustment: Adjustment
     sense_margin: float = 0.0
     overdispersion: float = 1.0
@@ -169,17 +171,18 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
         )
         for sense, model in models.items()
     }
-    best = min(ends.values(), key=lambda end: end.sigma_px)
-    overdispersion = residual_overdispersion(best.residual_px, observations, best.weights, best.sigma_px, len(tilt))
-    cost = {
-        sense: robust_cost(ends[sense].parameters, observations, models[sense], best.sigma_px, overdispersion)
-        for sense in _SENSES
-    }
+    sigma_px = min(end.sigma_px for end in ends.values())
+    cost = {sense: robust_cost(ends[sense].parameters, observations, models[sense], sigma_px) for sense in _SENSES}
     margin = cost[-1.0] - cost[1.0]
     sense = -1.0 if margin < -_CLEAR_MARGIN else 1.0  # as `FullObjectMotion.clockwise`
+    first = ends[sense]
+    kept, keep = without_outliers(observations, first.residual_px, first.sigma_px)
+    overdispersion = residual_overdispersion(
+        first.residual_px[keep], kept, first.weights[keep], first.sigma_px, len(tilt)
+    )
     found = refine(
-        ends[sense].parameters,
-        observations,
+        first.parameters,
+        kept,
         models[sense],
         max_iterations=options.max_iterations,
         overdispersion=overdispersion,
@@ -194,6 +197,7 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
         per_view[:, 0].copy(),
         per_view[:, 4].copy(),
         scale * (1 + per_view[:, 2]),
+        kept,
         found,
         margin,
         overdispersion,
