@@ -25,6 +25,9 @@ _RUNS = 5
 _BOOTSTRAPS = 10
 _EXACT = 1e-6
 _TOLD_AND_TRUE = (0.0, 0.0005, 0.001)
+_SCALES = ("height_scale", "stage_scale")
+_OVER_12_DEG = " over 12 deg"
+_SEVEN_OVER_12_DEG = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0)
 
 
 def measure_accuracy(case: str) -> dict[str, Any]:
@@ -34,27 +37,44 @@ def measure_accuracy(case: str) -> dict[str, Any]:
     from semscape.experiments.calibration import CASES as RECIPES
     from semscape.experiments.calibration import figures_of, recover
 
-    few = replace(RECIPES[case], n_points=_TRACKS_FOR_COVERAGE)
+    recipe = RECIPES[case.replace(_OVER_12_DEG, "")]
+    if _OVER_12_DEG in case:
+        recipe = replace(recipe, tilts_deg=_SEVEN_OVER_12_DEG)
+    few = replace(recipe, n_points=_TRACKS_FOR_COVERAGE)
     coverage = figures_of([recover(few, seed) for seed in range(_SERIES_FOR_COVERAGE)])
     return {
-        **figures_of([recover(RECIPES[case], seed) for seed in range(_SERIES_FOR_ERRORS)]),
+        **figures_of([recover(recipe, seed) for seed in range(_SERIES_FOR_ERRORS)]),
         "series_for_coverage": coverage["series"],
         "tracks_for_coverage": _TRACKS_FOR_COVERAGE,
+        **{
+            f"{key}_of_many": coverage[key]
+            for key in ("height_scale_rms_error_percent", "stage_scale_rms_error_percent")
+        },
         **{key: share for key, share in coverage.items() if key.endswith("_in_95_percent")},
     }
 
 
-def measure_told_scan(views: int, told: float, true: float) -> dict[str, Any]:
-    """Calibrate many series from their images alone, whose scans stretch as told or otherwise (1 sigma)."""
+def measure_told_scan(views: int, told: float, true: float | None) -> dict[str, Any]:
+    """Calibrate many series from their images alone, whose scans stretch as told or otherwise (1 sigma).
+
+    Without `true` every series has a scan of its own, drawn from the prior that is weighed when that much is told.
+    """
     from dataclasses import replace
+
+    import numpy as np
 
     from semscape.experiments.calibration import CASES as RECIPES
     from semscape.experiments.calibration import figures_of, recover
     from semscape.options import SfmOptions
+    from semscape.sfm.anisotropy import sigmas_weighed
 
-    recipe = replace(RECIPES[f"{views} views, images alone"], n_points=_TRACKS_FOR_COVERAGE, anisotropy_sigma=true)
+    sigmas, log_prior = sigmas_weighed(told) if true is None else (np.array([true]), np.zeros(1))
+    drawn = np.random.default_rng(36).choice(sigmas, _SERIES_FOR_COVERAGE, p=np.exp(log_prior))
+    recipe = replace(RECIPES[f"{views} views, images alone"], n_points=_TRACKS_FOR_COVERAGE)
     options = SfmOptions(prior_anisotropy=told or _EXACT)
-    figures = figures_of([recover(recipe, seed, options) for seed in range(_SERIES_FOR_COVERAGE)])
+    figures = figures_of(
+        [recover(replace(recipe, anisotropy_sigma=float(one)), seed, options) for seed, one in enumerate(drawn)]
+    )
     return {"views": views, "anisotropy_told": told, "anisotropy_true": true, **figures}
 
 
@@ -300,6 +320,8 @@ _ACCURACY = (
     "5 views, images alone, anisotropy",
     "3 views, images alone, anisotropy",
     "5 views, stage, anisotropy",
+    "7 views over 12 deg, stage",
+    "7 views over 12 deg, stage, anisotropy",
 )
 CASES: dict[str, Case] = {
     "objective": (measure_objective, ()),
@@ -310,11 +332,12 @@ CASES: dict[str, Case] = {
     "convergence": (measure_convergence, ()),
     **{case: (measure_accuracy, (case,)) for case in _ACCURACY},
     **{
-        f"3 views, told {told:g}, true {true:g}": (measure_told_scan, (3, told, true))
+        f"{views} views, told {told:g}, true {true:g}": (measure_told_scan, (views, told, true))
+        for views in (3, 5, 7)
         for told in _TOLD_AND_TRUE
         for true in _TOLD_AND_TRUE
     },
-    **{f"{views} views, told exact": (measure_told_scan, (views, 0.0, 0.0)) for views in (5, 7)},
+    **{f"{views} views, told 0.001, drawn": (measure_told_scan, (views, 0.001, None)) for views in (3, 5, 7)},
 }
 
 if __name__ == "__main__":

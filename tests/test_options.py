@@ -100,3 +100,10 @@ def test_the_camera_flag_beats_the_settings() -> None:
     assert effective_options(None, ["sfm.camera=perspective"], *nothing).sfm.camera == "perspective"
     with pytest.raises(BadInputError, match=r"sfm.camera has no choice 'fisheye'.*orthographic, perspective, auto"):
         with_flags(Options(), camera="fisheye")
+
+
+def test_the_preset_of_the_thesis_is_its_method() -> None:
+    assert with_flags(Options(), preset="thesis").sfm.method == "thesis"
+    assert with_flags(Options()).sfm.method == "series"
+    with pytest.raises(BadInputError, match="--preset 'fast' is not known; there is: thesis"):
+        with_flags(Options(), preset="fast")

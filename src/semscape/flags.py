@@ -28,6 +28,7 @@ def effective_options(
     scale_bar_um: float | None = None,
     keep: str | None = None,
     camera: str | None = None,
+    preset: str | None = None,
 ) -> Options:
     """Return the options: defaults, then the file's, then --set, then the explicit flags."""
     options = Options()
@@ -38,7 +39,7 @@ def effective_options(
             reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
             raise BadInputError(f"the options file {file} cannot be read: {reason}") from error
     options = options.with_settings(settings or [])
-    return with_flags(options, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep, camera)
+    return with_flags(options, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep, camera, preset)
 
 
 def with_flags(
@@ -51,6 +52,7 @@ def with_flags(
     scale_bar_um: float | None = None,
     keep: str | None = None,
     camera: str | None = None,
+    preset: str | None = None,
 ) -> Options:
     """Return options changed by the flags that are given; so the cells of a batch's manifest are read as well."""
     values: dict[str, dict[str, Any]] = {"input": {}, "run": {}, "sfm": {}, "dense": {}}
@@ -72,6 +74,10 @@ def with_flags(
         values["dense"]["keep"] = keep
     if camera is not None:
         values["sfm"]["camera"] = camera
+    if preset is not None:
+        if preset != "thesis":
+            raise BadInputError(f"--preset {preset!r} is not known; there is: thesis")
+        values["sfm"]["method"] = preset
     return options.with_values(values)
 
 

@@ -216,8 +216,9 @@ def reconstruct_full_object(
             observations = build_tracks(keypoints, matches, geometries)
             motion = calibrate_full_object(series, observations, options.sfm)
             figures["noise_sigma_px"], figures["sense_margin"] = motion.adjustment.sigma_px, motion.sense_margin
+            figures["overdispersion"] = motion.overdispersion
         with stages("surface") as figures:
-            found = full_object_surface(series, observations, motion, options.dense, mapper=mapper)
+            found = full_object_surface(series, motion, options.dense, mapper=mapper)
             figures["groups"], figures["measured_fraction"] = len(found.maps), found.merged.measured
             figures["n_faces"] = len(found.merged.mesh.faces)
     return found, tuple(stages.done), tuple(failures)

@@ -191,6 +191,16 @@ def test_the_pollen_grain_stands_up(pollen: tuple[Tracked, Reconstruction]) -> N
     assert np.median(middle) > np.median(rim) + 20
 
 
+def test_pollen_is_no_perspective_that_cannot_be(pollen: tuple[Tracked, Reconstruction]) -> None:
+    """Its scan's distortions look like a centre of projection beyond the grain, which stands up: see above."""
+    data, options = pollen[0], replace(OPTIONS.sfm, camera="auto")
+    found = calibrate(data.series, data.observations, options, rng=np.random.default_rng(0)).reconstruction
+    assert found.camera == "orthographic"
+    assert abs(found.camera_margin) < 10
+    assert found.camera_margin < 0 or any("none that can be" in warning for warning in found.warnings)
+    np.testing.assert_allclose(found.motion.tilt_rad, pollen[1].motion.tilt_rad, atol=1e-4)
+
+
 def test_the_pollen_relief_is_one_of_a_grain(pollen: tuple[Tracked, Reconstruction]) -> None:
     """A relief of the order of the grain's radius; neither flat nor a needle."""
     _, height = grain(pollen[1])

@@ -129,12 +129,12 @@ def test_a_group_images_the_object_as_its_views_did() -> None:
     adjustment = Adjustment(
         np.concatenate([[1.5], per_view.ravel()]), np.eye(1), points, np.eye(1), np.eye(1), 1.0, 1.0, 1
     )
-    motion = FullObjectMotion(rotations, 1.5, tilt, turn, scale, adjustment)
     observations = Observations(
         np.tile(np.arange(4), 60), np.repeat(np.arange(60), 4), xy.transpose(1, 0, 2).reshape(-1, 2)
     )
+    motion = FullObjectMotion(rotations, 1.5, tilt, turn, scale, observations, adjustment)
     assert group_views(motion) == [(0, 1, 2)]
-    group = view_group((0, 1, 2), series, observations, motion)
+    group = view_group((0, 1, 2), series, motion)
     assert group is not None
     own = np.linalg.inv(group.world_from_group)
     local = points @ own[:3, :3].T + own[:3, 3]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +18,10 @@ from semscape.geometry.rotations import axis_rotation
 from semscape.io.run_folder import prepare_run_folder
 from semscape.io.surfaces import read_height_map
 from semscape.options import MeshOptions, Options
-from semscape.report.full_object import write_full_object
+from semscape.report.full_object import object_verdict, write_full_object
 from semscape.sfm.adjust import Adjustment
 from semscape.sfm.full_object import PARAMETERS_PER_VIEW, FullObjectMotion
-from semscape.types import HeightMap, Micrograph, StageReport, TiltSeries
+from semscape.types import HeightMap, Micrograph, Observations, StageReport, TiltSeries
 
 SIDE, PIXEL, RADIUS = 50, 0.2, 4.0
 
@@ -45,7 +47,8 @@ def ball() -> FullObject:
     four, nothing = np.zeros(4), np.empty(0)
     parameters = np.zeros(1 + 4 * PARAMETERS_PER_VIEW)
     adjustment = Adjustment(parameters, np.eye(len(parameters)), nothing, nothing, nothing, 0.3, 1.0, 1)
-    motion = FullObjectMotion(np.tile(np.eye(3), (4, 1, 1)), 0.0, four, four, four + 5, adjustment)
+    tracks = Observations(nothing.astype(int), nothing.astype(int), np.empty((0, 2)))
+    motion = FullObjectMotion(np.tile(np.eye(3), (4, 1, 1)), 0.0, four, four, four + 5, tracks, adjustment)
     quarter = np.pi / 2
     sides = [(0.0, k * quarter) for k in range(4)] + [(quarter, quarter), (quarter, -quarter)]
     maps = tuple(half_ball(*side) for side in sides)
@@ -63,6 +66,8 @@ def test_the_folder_holds_a_watertight_mesh_and_says_where_each_map_lies(ball: F
     assert report["metrics"]["n_groups"] == 6
     assert report["metrics"]["volume"] == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.03)
     assert report["failures"] == ["a pair"]
+    assert report["contradictions"] == []
+    assert report["verdict"].startswith("do not measure: the tracks leave open")  # nobody told the ball a sense
     for group, placed in zip(report["groups"], ball.maps, strict=True):
         height_map = read_height_map(folder / group["file"])
         np.testing.assert_allclose(height_map.height_um, placed.height_map.height_um, rtol=1e-6)
@@ -76,6 +81,25 @@ def test_the_folder_holds_a_watertight_mesh_and_says_where_each_map_lies(ball: F
     assert "<0>" not in html
     assert "http:" not in html
     prepare_run_folder(folder)  # the same command may write there again
+
+
+def test_the_verdict_is_that_of_the_least_known_group(ball: FullObject) -> None:
+    """Two views 10 deg apart, each tilt known to 0.1 deg: heights to 1.96 * 0.1 * root 2 / 10, 2.8 %."""
+    tilt = np.deg2rad([0.0, 10.0, 20.0, 30.0])
+
+    def known_to(sigma_deg: float, **other: Any) -> str:
+        adjustment = replace(
+            ball.motion.adjustment, covariance=np.deg2rad(sigma_deg) ** 2 * np.eye(1 + 4 * PARAMETERS_PER_VIEW)
+        )
+        motion = replace(ball.motion, tilt_rad=tilt, adjustment=adjustment, sense_margin=100.0, **other)
+        return object_verdict(replace(ball, motion=motion))
+
+    assert known_to(0.1).startswith("good: heights of the least known group of views to +-2.8% (95 %)")
+    assert known_to(0.5).startswith("usable: ")
+    assert known_to(1.0).startswith("do not measure: ")
+    assert known_to(0.1, contradictions=("2.tif: mistyped",)).endswith(
+        "contradict what was told of them. 2.tif: mistyped"
+    )
 
 
 def test_a_decimated_mesh_tells_its_distance(ball: FullObject, tmp_path: Path) -> None:

@@ -364,6 +364,19 @@ def test_swapped_files_are_noticed() -> None:
     assert found.contradictions
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_view_that_was_turned_reverses_no_told_tilt(sign: float) -> None:
+    """It pushes the axis round, and about the opposite axis told tilts would mean the mirrored relief."""
+    told = tuple(sign * tilt for tilt in TILTS)
+    tracks = make_tracks(TILTS, stage_deg=told, n_points=400)
+    xy, turned, by = tracks.observations.xy.copy(), tracks.observations.view == 3, np.deg2rad(-25)
+    turn = np.array([[np.cos(by), -np.sin(by)], [np.sin(by), np.cos(by)]])
+    xy[turned] = (xy[turned] - SIZE_PX / 2) @ turn + SIZE_PX / 2
+    found = solve(replace(tracks, observations=replace(tracks.observations, xy=xy))).reconstruction
+    np.testing.assert_allclose(np.rad2deg(found.motion.tilt_rad), told, atol=0.5)
+    assert any(text.startswith("view_3.tif: a roll of") for text in found.contradictions)
+
+
 def test_a_wrong_axis_is_noticed() -> None:
     tracks = make_tracks((-6.0, 0.0, 6.0), stage_deg=(-6.0, 0.0, 6.0), axis_deg=88.0)
     views = tuple(

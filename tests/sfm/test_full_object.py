@@ -67,6 +67,44 @@ def test_rotations_all_around(sense: float) -> None:
     assert not found.doubts
 
 
+def test_errors_that_neighbours_share_widen_the_sigmas() -> None:
+    """Half a px of smooth distortion per view, and the stated intervals of tilts and rotations still hold."""
+    series, observations, _ = dome()
+    alone = calibrate_full_object(series, observations, SfmOptions())
+    rng = np.random.default_rng(5)
+    phase, direction = rng.uniform(0, 2 * np.pi, (2, VIEWS, 2))
+    x, y = (observations.xy / 200).T
+    shift = np.stack(
+        [
+            np.cos(2 * np.pi * (x * np.cos(turn) + y * np.sin(turn)) + start)
+            for turn, start in zip(direction[observations.view].T, phase[observations.view].T, strict=True)
+        ],
+        axis=1,
+    )
+    bent = calibrate_full_object(series, replace(observations, xy=observations.xy + 0.7 * shift), SfmOptions())
+    assert 1.0 <= alone.overdispersion < 1.3
+    assert bent.overdispersion > 2
+    known = np.sqrt(np.diag(alone.adjustment.covariance)), np.sqrt(np.diag(bent.adjustment.covariance))
+    own = np.concatenate([1 + 7 * np.arange(VIEWS), 5 + 7 * np.arange(VIEWS)])
+    assert (known[1][own] > known[0][own]).all()
+    for found in (alone, bent):
+        group = found.height_scale_relative_sigma((0, 1))
+        steps = found.tilt_rad[1] - found.tilt_rad[0]
+        assert abs((TILT[1] - TILT[0]) / steps - 1) < 3 * group < 0.2
+
+
+def test_wrong_tracks_put_no_reading_in_doubt() -> None:
+    """A view of which a tenth of the keypoints lie up to 25 px off, all to one side, says nothing against its stage."""
+    series, observations, _ = dome()
+    rng = np.random.default_rng(4)
+    wrong = (observations.view == 5) & (rng.uniform(size=len(observations.view)) < 0.1)
+    off = wrong[:, None] * np.column_stack([rng.uniform(5, 25, len(wrong)), rng.normal(0, 2, len(wrong))])
+    found = calibrate_full_object(series, replace(observations, xy=observations.xy + off), SfmOptions())
+    assert not found.doubts
+    assert len(found.observations.view) < len(observations.view) - 0.8 * wrong.sum()
+    assert len(found.adjustment.points_um) == found.observations.n_points
+
+
 @pytest.mark.parametrize("told", [1.0, -1.0])
 def test_the_sign_of_the_tilts_decides_the_hand(told: float) -> None:
     """The mirrored body under reversed tilts gives the same images: what is told decides, whatever the axis."""

@@ -45,6 +45,10 @@ def reconstruct(
         str | None,
         typer.Option(metavar="MODEL", help="Camera: orthographic, perspective, or auto, which fits both and chooses."),
     ] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="thesis: the textbook route to the tilts, a baseline and no measurement."),
+    ] = None,
     invert_relief: Annotated[
         bool | None,
         typer.Option("--invert-relief/--keep-relief", help="Mirror a relief whose sign nothing but shading fixed."),
@@ -62,7 +66,17 @@ def reconstruct(
     """Reconstruct the surface from a folder of tilted images and write a run folder."""
     with exit_codes(debug=debug, quiet=quiet, log_json=log_json):
         options = effective_options(
-            options_file, settings, tilts, pixel_size_um, axis_deg, seed, invert_relief, scale_bar_um, keep, camera
+            options_file,
+            settings,
+            tilts,
+            pixel_size_um,
+            axis_deg,
+            seed,
+            invert_relief,
+            scale_bar_um,
+            keep,
+            camera,
+            preset,
         )
         run = run_object_into if full_object else run_into
         run(folder, output, options, workers=workers, quiet=quiet, lines=not (quiet or log_json))
@@ -125,6 +139,7 @@ def run_object_into(
     """Reconstruct a full object into a run folder, with progress on stderr and the report's place on stdout."""
     from semscape.batch.full_object_run import reconstruct_object_folder
     from semscape.report.console import StageLines, print_line
+    from semscape.report.full_object import object_verdict
 
     with StageLines(console(err=True), quiet=not lines) as progress:
         found = reconstruct_object_folder(folder, output, options, workers=workers, progress=progress)
@@ -133,6 +148,7 @@ def run_object_into(
     for warning in found.motion.doubts if lines else ():
         print_line(f"warning: {warning}", console(err=True), "yellow")
     mesh, measured = found.merged.mesh, found.merged.measured
+    print_line(object_verdict(found), console())
     print_line(f"{len(mesh.faces):,} triangles from {len(found.maps)} groups of views", console())
     print_line(f"{measured:.0%} of the surface is seen by views, the rest closes the body", console())
     print_line(f"report: {output / 'report.html'}", console())

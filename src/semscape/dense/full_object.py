@@ -14,7 +14,7 @@ from semscape.dense.tiles import surface_in_tiles
 from semscape.errors import DegenerateGeometryError
 from semscape.options import DenseOptions
 from semscape.sfm.full_object import FullObjectMotion
-from semscape.types import Observations, TiltSeries
+from semscape.types import TiltSeries
 
 Mapper = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
 
@@ -31,7 +31,6 @@ class FullObject:
 
 def full_object_surface(
     series: TiltSeries,
-    observations: Observations,
     motion: FullObjectMotion,
     options: DenseOptions,
     *,
@@ -42,8 +41,6 @@ def full_object_surface(
     Parameters
     ----------
     series : TiltSeries
-    observations : Observations
-        Tracks that `motion` was calibrated with.
     motion : FullObjectMotion
     options : DenseOptions
     mapper : callable
@@ -56,7 +53,7 @@ def full_object_surface(
     NoAnswerError
         If the height maps do not agree.
     """
-    found = [view_group(views, series, observations, motion) for views in group_views(motion)]
+    found = [view_group(views, series, motion) for views in group_views(motion)]
     groups = [group for group in found if group is not None]
     if not groups:
         raise DegenerateGeometryError(

@@ -67,9 +67,7 @@ def group_views(motion: FullObjectMotion) -> list[tuple[int, ...]]:
     return sorted(tuple(sorted(group)) for group in groups if len(group) > 1)
 
 
-def view_group(
-    views: tuple[int, ...], series: TiltSeries, observations: Observations, motion: FullObjectMotion
-) -> ViewGroup | None:
+def view_group(views: tuple[int, ...], series: TiltSeries, motion: FullObjectMotion) -> ViewGroup | None:
     """Return some views as a tilt series of their own, seen from the middle one; None where they share no points.
 
     With R_m the rotation of the middle view, the group's world is turned by R_0^T R_m: there the middle view has no
@@ -79,6 +77,7 @@ def view_group(
     middle = ordered.index(ordered[len(ordered) // 2])
     rotations = motion.cam_from_world[ordered]
     group_from_world = CAM_FROM_WORLD_AT_ZERO_TILT.T @ rotations[middle]
+    observations = motion.observations
     own = np.isin(observations.view, ordered)
     count = np.bincount(observations.point[own], minlength=observations.n_points)
     points = motion.adjustment.points_um[count >= 2]

@@ -17,8 +17,9 @@ from semscape.io.run_folder import RUN_FORMAT, json_text, make_folder, plain_jso
 from semscape.io.surfaces import encode_height_map_npz, encode_mesh_glb, encode_mesh_ply
 from semscape.options import Options
 from semscape.report.figures import drawn_png
-from semscape.report.markup import figure, page, table
-from semscape.report.wording import UNIT_SIGNS, number
+from semscape.report.markup import figure, page, table, verdict_line
+from semscape.report.summary import GOOD_HEIGHT_SCALE, USABLE_HEIGHT_SCALE
+from semscape.report.wording import UNIT_SIGNS, Z_95, number
 from semscape.sfm.full_object import PARAMETERS_PER_VIEW
 from semscape.types import FloatArray, StageReport, SurfaceMesh
 
@@ -33,6 +34,7 @@ _VIEW_COLUMNS = {
     "rotation_deg": "Rotation (°)",
     "rotation_sigma_deg": "±",
 }
+_GROUP_COLUMNS = ["Views", "Heights known (%)", "Height scale (95 %, %)"]
 
 
 def write_full_object(
@@ -69,14 +71,37 @@ def write_full_object(
     return path
 
 
+def object_verdict(found: FullObject) -> str:
+    """Say in plain words what the body may be used for; its least known group of views decides."""
+    motion, height_scale = found.motion, max(_height_scales(found))
+    if motion.contradictions:
+        return f"do not measure: the images contradict what was told of them. {motion.contradictions[0]}"
+    if motion.sense_is_open:
+        return "do not measure: the tracks leave open in which sense the stage turns, see the warning"
+    grade = "good" if height_scale <= GOOD_HEIGHT_SCALE else "usable"
+    if height_scale > USABLE_HEIGHT_SCALE:
+        grade = "do not measure"
+    return (
+        f"{grade}: heights of the least known group of views to +-{height_scale:.1%} (95 %), keypoints to "
+        f"{motion.adjustment.sigma_px:.2f} px"
+    )
+
+
+def _height_scales(found: FullObject) -> list[float]:
+    """Return half the relative 95 % interval of each group's heights."""
+    return [Z_95 * found.motion.height_scale_relative_sigma(placed.views) for placed in found.maps]
+
+
 def _figures(
     found: FullObject, mesh: SurfaceMesh, options: Options, stages: Sequence[StageReport], failures: Sequence[str]
 ) -> dict[str, Any]:
     motion, names = found.motion, found.series.names
     corners = mesh.vertices_um[mesh.faces]
+    height_scales = _height_scales(found)
     return {
         "format": RUN_FORMAT,
         "kind": "full object",
+        "verdict": object_verdict(found),
         "length_unit": mesh.length_unit,
         "metrics": {
             "n_views": found.series.n_views,
@@ -87,6 +112,8 @@ def _figures(
             "cell": found.merged.cell_um,
             "volume": float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6),
             "noise_sigma_px": motion.adjustment.sigma_px,
+            "overdispersion": motion.overdispersion,
+            "height_scale_relative_sigma_95": max(height_scales),
         },
         "views": _views(found),
         "groups": [
@@ -95,9 +122,11 @@ def _figures(
                 "file": f"height_map_{index:02d}.npz",
                 "world_from_grid": placed.world_from_grid,
                 "completeness": float(np.isfinite(placed.height_map.height_um).mean()),
+                "height_scale_relative_sigma_95": height_scale,
             }
-            for index, placed in enumerate(found.maps)
+            for index, (placed, height_scale) in enumerate(zip(found.maps, height_scales, strict=True))
         ],
+        "contradictions": list(motion.contradictions),
         "warnings": list(motion.doubts),
         "failures": list(failures),
         "stages": [
@@ -162,7 +191,14 @@ def _html(report: dict[str, Any], mesh: SurfaceMesh) -> str:
     ]
     if "decimation" in report:
         rows.append(["Decimated mesh, largest distance", f"{number(report['decimation']['largest'], 3)} {sign}"])
-    groups = [[", ".join(item["views"]), number(100 * item["completeness"], 3)] for item in report["groups"]]
+    groups = [
+        [
+            ", ".join(item["views"]),
+            number(100 * item["completeness"], 3),
+            f"± {number(100 * item['height_scale_relative_sigma_95'], 2)}",
+        ]
+        for item in report["groups"]
+    ]
     views = [[view["name"], *(number(view[key], 5) for key in _VIEW_COLUMNS)] for view in report["views"]]
     doubts = "".join(f"<p>{escape(text)}</p>" for text in report["warnings"])
     picture = figure(
@@ -170,7 +206,8 @@ def _html(report: dict[str, Any], mesh: SurfaceMesh) -> str:
     )
     header = (
         '<header>\n<p class="brand">semscape <span>full object</span></p>\n'
-        f"<h1>{escape(report['views'][0]['name'])} … {escape(report['views'][-1]['name'])}</h1></header>"
+        f"<h1>{escape(report['views'][0]['name'])} … {escape(report['views'][-1]['name'])}</h1>\n"
+        f"{verdict_line(report['verdict'])}</header>"
     )
     return page(
         "full object · semscape",
@@ -178,7 +215,7 @@ def _html(report: dict[str, Any], mesh: SurfaceMesh) -> str:
             header,
             f'<section><h2>Surface</h2><div class="wide">{picture}</div>{table(["", ""], rows)}</section>',
             f"<section><h2>Motion</h2>{doubts}{table(['View', *_VIEW_COLUMNS.values()], views)}</section>",
-            f"<section><h2>Groups</h2>{table(['Views', 'Heights known (%)'], groups)}</section>",
+            f"<section><h2>Groups</h2>{table(_GROUP_COLUMNS, groups)}</section>",
         ],
     )
 

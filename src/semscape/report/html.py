@@ -12,7 +12,7 @@ import numpy as np
 from semscape.io.run_folder import options_toml
 from semscape.report.figures import height_picture, hillshade_picture, tilt_picture, uncertainty_picture
 from semscape.report.json import report_to_dict
-from semscape.report.markup import figure, fixed, page, percent, plus_minus, table, with_sigma
+from semscape.report.markup import figure, fixed, page, percent, plus_minus, table, verdict_line, with_sigma
 from semscape.report.methods import assumptions, methods_section
 from semscape.report.motion_table import before_and_after
 from semscape.report.pair_pictures import pair_drawings
@@ -22,7 +22,6 @@ from semscape.report.viewer_page import viewer_parts, viewer_script
 from semscape.report.wording import UNIT_SIGNS, Z_95, held_text, is_held, label, number, two_digits, value_text
 from semscape.types import FloatArray, LengthUnit, Result
 
-_VERDICTS = {"good": "good", "usable": "warn", "do not": "bad"}
 _NO_TILE = {
     "rms_px",
     "height_scale_relative_sigma",
@@ -72,7 +71,6 @@ def _title(result: Result) -> str:
 
 
 def _header(report: Mapping[str, Any], result: Result) -> str:
-    trouble = next((kind for start, kind in _VERDICTS.items() if report["verdict"].startswith(start)), "plain")
     height, width = result.series.shape
     version = report["versions"].get("semscape", "")
     return (
@@ -80,7 +78,7 @@ def _header(report: Mapping[str, Any], result: Result) -> str:
         f"<h1>{escape(_title(result))}</h1>\n"
         f'<p class="quiet">{len(report["views"])} views of {width} × {height} px · semscape {escape(str(version))} · '
         f"seed {report['seed']}</p>\n"
-        f'<p class="verdict {trouble}">{escape(plus_minus(report["verdict"]))}</p>\n'
+        f"{verdict_line(report['verdict'])}\n"
         f'<p class="basis">{escape(report["ambiguity_text"])}</p>\n</header>'
     )
 

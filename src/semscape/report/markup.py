@@ -15,6 +15,7 @@ from semscape.report.style import STYLE
 from semscape.report.wording import number
 
 _WEBP_QUALITY = 84
+_VERDICTS = {"good": "good", "usable": "warn", "do not": "bad"}
 
 
 def page(title: str, sections: Iterable[str], script: str | None = None) -> str:
@@ -86,6 +87,12 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _are_words(cells: Iterable[str]) -> bool:
     text = "".join(cells)
     return any(letter.isalpha() for letter in text) and not any(letter.isdigit() for letter in text)
+
+
+def verdict_line(verdict: str) -> str:
+    """Return a verdict as a paragraph in the colour of its grade."""
+    style = next((style for start, style in _VERDICTS.items() if verdict.startswith(start)), "plain")
+    return f'<p class="verdict {style}">{escape(plus_minus(verdict))}</p>'
 
 
 def plus_minus(text: str) -> str:

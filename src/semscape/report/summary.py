@@ -26,7 +26,7 @@ from semscape.types import (
 )
 
 _PACKAGES = ("semscape", "numpy", "scipy", "opencv-contrib-python-headless", "numba", "tifffile", "trimesh")
-_GOOD_HEIGHT_SCALE, _USABLE_HEIGHT_SCALE = 0.05, 0.25
+GOOD_HEIGHT_SCALE, USABLE_HEIGHT_SCALE = 0.05, 0.25
 _GOOD_RMS_PX = 0.7
 _LEAST_COMPLETENESS = 0.25
 
@@ -132,7 +132,7 @@ def _verdict(reconstruction: Reconstruction, metrics: dict[str, Any]) -> str:
     scale = Z_95 * reconstruction.height_scale_relative_sigma
     if np.isnan(scale):
         return "do not measure: nothing tells how well the tilts are known, and with them the height scale"
-    if scale > _USABLE_HEIGHT_SCALE:
+    if scale > USABLE_HEIGHT_SCALE:
         return (
             f"do not measure: the height scale is known to +-{scale:.0%} (95 %) only; shape and proportions in the "
             "image plane are right, heights are not"
@@ -144,7 +144,7 @@ def _verdict(reconstruction: Reconstruction, metrics: dict[str, Any]) -> str:
             f"usable: heights to +-{scale:.0%} (95 %) from self-calibrated tilts, and the sign of the relief is "
             "assumed from its shading; stage tilts would settle both"
         )
-    if scale > _GOOD_HEIGHT_SCALE or reconstruction.rms_px > _GOOD_RMS_PX:
+    if scale > GOOD_HEIGHT_SCALE or reconstruction.rms_px > _GOOD_RMS_PX:
         return f"usable: heights to +-{scale:.1%} (95 %), residual {reconstruction.rms_px:.2f} px rms"
     return f"good: heights to +-{scale:.1%} (95 %), residual {reconstruction.rms_px:.2f} px rms"
 

@@ -50,8 +50,7 @@ def adjust_learning_anisotropy(
     MacKay 1992, doi:10.1162/neco.1992.4.3.415 (evidence); Gelman 2006, doi:10.1214/06-BA117A (priors of a variance
     that few groups share); Hoeting et al. 1999, doi:10.1214/ss/1009212519 (averaging over models).
     """
-    sigmas = prior.anisotropy_sigma * np.geomspace(_LEAST, _MOST, _STEPS)
-    log_prior = _log_prior(sigmas / prior.anisotropy_sigma)
+    sigmas, log_prior = sigmas_weighed(prior.anisotropy_sigma)
 
     def adjusted(start: FloatArray) -> Adjustment:
         return adjust(start, observations, prior, max_iterations=max_iterations, overdispersion=overdispersion)
@@ -75,9 +74,18 @@ def adjust_learning_anisotropy(
     return prior, found
 
 
-def _log_prior(ratio: FloatArray) -> FloatArray:
-    """Return the logarithm of the prior density of log sigma, for sigmas in units of the told one."""
+def sigmas_weighed(told: float) -> tuple[FloatArray, FloatArray]:
+    """Return the sigmas that may be, and the logarithms of their prior probabilities, for the one that is told.
+
+    Examples
+    --------
+    >>> sigmas, log_prior = sigmas_weighed(0.001)
+    >>> probability = np.exp(log_prior)
+    >>> round(float(probability.sum()), 6), round(float(probability @ (sigmas < 0.0005)), 1)
+    (1.0, 0.4)
+    """
+    ratio = np.geomspace(_LEAST, _MOST, _STEPS)
     quiet = (ratio <= _LOUDEST_OF_QUIET) / np.log(_LOUDEST_OF_QUIET / _LEAST)
-    told = np.exp(-0.5 * (np.log(ratio) / _SPREAD_OF_TOLD) ** 2) / (_SPREAD_OF_TOLD * np.sqrt(2 * np.pi))
-    density: FloatArray = np.log(0.5 * quiet + 0.5 * told)
-    return density
+    as_told = np.exp(-0.5 * (np.log(ratio) / _SPREAD_OF_TOLD) ** 2) / (_SPREAD_OF_TOLD * np.sqrt(2 * np.pi))
+    density = 0.5 * quiet + 0.5 * as_told
+    return told * ratio, np.log(density / density.sum())

@@ -22,7 +22,7 @@ from semscape.sfm.anisotropy import adjust_learning_anisotropy
 from semscape.sfm.drift import ScanDrift, fit_drift
 from semscape.sfm.evolve import Evolution, evolve, search
 from semscape.sfm.models import PARAMETERS_PER_VIEW, TiltSeriesModel
-from semscape.sfm.noise import free_share, residual_overdispersion
+from semscape.sfm.noise import residual_overdispersion, without_outliers
 from semscape.sfm.perspective import PerspectiveFit, fit_perspective
 from semscape.sfm.plausibility import (
     height_scale_warnings,
@@ -34,7 +34,7 @@ from semscape.sfm.plausibility import (
     stage_contradictions,
 )
 from semscape.sfm.priors import MotionPrior, motion_prior
-from semscape.sfm.relief import relief_sign
+from semscape.sfm.relief import ReliefSign, relief_sign
 from semscape.types import (
     BoolArray,
     FloatArray,
@@ -45,7 +45,6 @@ from semscape.types import (
     TiltSource,
 )
 
-_REJECT_IN_SIGMAS = 5.0
 _LEAST_TRACKS = 24
 # Neighbouring residuals that move together this much, as a variance against independent ones, show scan drift.
 _SHARED_ERRORS = 1.5
@@ -107,12 +106,14 @@ def calibrate(
         doubts += stage_contradictions(
             series.names, found.patterns, found.evolution.parameters, unbound.parameters, n_free, prior
         )
-    first = adjust(
-        with_translations(found.evolution.parameters, observations, series.n_views),
-        observations,
-        prior,
-        max_iterations=options.max_iterations,
-    )
+    start = with_translations(found.evolution.parameters, observations, series.n_views)
+    first = adjust(start, observations, prior, max_iterations=options.max_iterations)
+    axis, turned_over = wrap_axis_angle(first.parameters[0])
+    if turned_over and not np.isfinite(prior.axis_sigma_rad):
+        # A view that fits badly may push a free axis round, which reverses what a tilt means. The mirror image, with
+        # the told tilts about the axis in its half turn, fits as well.
+        start = np.concatenate([[axis], first.parameters[1:]])
+        first = adjust(start, observations, prior, max_iterations=options.max_iterations)
     kept, keep, overdispersion = _kept(observations, first, series.n_views)
     drift_px = np.zeros(series.n_views)
     if overdispersion > _SHARED_ERRORS and options.scan_drift_degree >= 2:
@@ -125,10 +126,11 @@ def calibrate(
     learnt, final = adjust_learning_anisotropy(
         first, kept, prior, max_iterations=options.max_iterations, overdispersion=overdispersion
     )
+    relief = relief_sign(series, replace(kept, xy=as_seen), final.points_um, prior, options)
     perspective = None
     if options.camera != "orthographic":
         perspective = _perspective(series, kept, final, learnt, options, overdispersion)
-        if _is_taken(perspective, options):
+        if _is_taken(perspective, relief.sign, options):
             # Parallel projection has made the noise look larger, and shared by neighbours: outliers are judged again.
             left, again, overdispersion = _kept(perspective.observations, perspective.adjustment, series.n_views)
             kept, as_seen = replace(left, xy=kept.xy[again]), as_seen[again]
@@ -140,30 +142,30 @@ def calibrate(
                 overdispersion=overdispersion,
             )
             perspective = _perspective(series, kept, final, learnt, options, overdispersion)
-        if _is_taken(perspective, options):
+        if _is_taken(perspective, relief.sign, options):
             kept, final = perspective.observations, perspective.adjustment
             no_parallax = require_parallax(series, kept, prior)  # perspective had spread the points both ways
     doubts = no_parallax + doubts
     points_variance_um2 = np.einsum("pii->pi", points_covariance(final, kept, TiltSeriesModel(prior), overdispersion))
     reconstruction = replace(
-        _reconstruction(series, replace(kept, xy=as_seen), final, points_variance_um2, prior, options, doubts),
+        _reconstruction(series, replace(kept, xy=as_seen), final, points_variance_um2, prior, relief, options, doubts),
         prior_mean=prior.centre_and_sigma()[0],
         prior_sigma=replace(learnt, anisotropy_sigma=learnt.expected_anisotropy).centre_and_sigma()[1],
         mirror_margin=mirror_margin(kept, final, learnt, options, overdispersion),
         height_scale_relative_sigma_of_images=images_height_scale_sigma(kept, final, learnt, overdispersion),
     )
     if perspective is not None:
-        reconstruction = _with_camera(series, reconstruction, perspective, final, options)
+        reconstruction = _with_camera(series, reconstruction, perspective, relief.sign, final, options)
     return Calibration(reconstruction, found.evolution, final.sigma_px, overdispersion, drift_px)
 
 
-def _is_taken(perspective: PerspectiveFit, options: SfmOptions) -> bool:
-    return options.camera == "perspective" or perspective.margin > 0
+def _is_taken(perspective: PerspectiveFit, sign: float, options: SfmOptions) -> bool:
+    return options.camera == "perspective" or (perspective.margin > 0 and perspective.is_possible(sign))
 
 
 def _kept(observations: Observations, adjustment: Adjustment, n_views: int) -> tuple[Observations, BoolArray, float]:
     """Return the observations that are no outliers, which they are, and their overdispersion."""
-    kept, keep = _without_outliers(observations, adjustment)
+    kept, keep = without_outliers(observations, adjustment.residual_px, adjustment.sigma_px)
     overdispersion = residual_overdispersion(
         adjustment.residual_px[keep], kept, adjustment.weights[keep], adjustment.sigma_px, n_views
     )
@@ -211,18 +213,30 @@ def _perspective(
 
 
 def _with_camera(
-    series: TiltSeries, reconstruction: Reconstruction, fit: PerspectiveFit, final: Adjustment, options: SfmOptions
+    series: TiltSeries,
+    reconstruction: Reconstruction,
+    fit: PerspectiveFit,
+    sign: float,
+    final: Adjustment,
+    options: SfmOptions,
 ) -> Reconstruction:
     """State which camera was taken and why; the sign of the distance must agree with that of the relief."""
     taken = final is fit.adjustment and fit.inverse_distance_per_um != 0
     unit = reconstruction.length_unit
-    mirrored = float(reconstruction.motion.tilt_rad @ final.parameters[1::PARAMETERS_PER_VIEW]) < 0
-    inverse_distance = -fit.inverse_distance_per_um if mirrored else fit.inverse_distance_per_um
+    inverse_distance = sign * fit.inverse_distance_per_um
     warnings = list(reconstruction.warnings)
-    if fit.margin > 0 and inverse_distance < 0:
+    if fit.margin > 0 and not fit.is_possible(sign):
+        where = (
+            "on the far side of the specimen, so that what is nearer looks smaller"
+            if inverse_distance < 0
+            else "amid the specimen's heights"
+        )
         warnings.append(
-            f"the perspective says ({abs(inverse_distance) / fit.sigma_per_um:.1f} sigma) that the relief is turned "
-            "inside out: what is nearer looks larger. Check the sign of the tilts, or --invert-relief"
+            f"the images fit a perspective camera better (its information criterion by {fit.margin:.0f}), but none "
+            f"that can be: its centre of projection lies {1 / abs(inverse_distance):.3g} {unit} away "
+            f"({abs(inverse_distance) / fit.sigma_per_um:.1f} sigma) {where}. "
+            f"{'It is taken as asked for' if taken else 'Parallel projection is kept'}: the scan's distortions may "
+            "look like that, or the relief is turned inside out; check the sign of the tilts, or --invert-relief"
         )
     if taken:
         height_um = np.percentile(np.abs(reconstruction.points_um[:, 2]), 99)
@@ -248,37 +262,26 @@ def _why(fit: PerspectiveFit, options: SfmOptions) -> str:
     return f", for the images show it (its information criterion is better by {fit.margin:.0f})"
 
 
-def _without_outliers(observations: Observations, adjustment: Adjustment) -> tuple[Observations, BoolArray]:
-    """Drop observations beyond 5 sigma, and tracks that are left with fewer than two."""
-    keep = np.linalg.norm(adjustment.residual_px, axis=1) < (
-        _REJECT_IN_SIGMAS * adjustment.sigma_px * np.sqrt(free_share(observations))
-    )
-    left = np.bincount(observations.point, keep, minlength=observations.n_points)
-    keep &= left[observations.point] >= 2
-    _, point = np.unique(observations.point[keep], return_inverse=True)
-    return Observations(observations.view[keep], point.astype(np.int64), observations.xy[keep]), keep
-
-
 def _reconstruction(
     series: TiltSeries,
     observations: Observations,
     final: Adjustment,
     points_variance_um2: FloatArray,
     prior: MotionPrior,
+    relief: ReliefSign,
     options: SfmOptions,
     doubts: list[str],
 ) -> Reconstruction:
     motion = _motion(final.parameters, prior)
     points = final.points_um
-    sign, ambiguity, confidence, warnings = relief_sign(series, observations, points, prior, options)
-    if sign < 0:
+    if relief.sign < 0:
         motion = replace(motion, tilt_rad=-motion.tilt_rad)
         points = points * np.array([1.0, 1.0, -1.0])
     motion, points = _centre_world(motion, points, series.shape, prior.reference)
 
     covariance = final.covariance.copy()
     signs = np.ones(len(covariance))
-    signs[1::PARAMETERS_PER_VIEW] = sign * (-1.0 if wrap_axis_angle(final.parameters[0])[1] else 1.0)
+    signs[1::PARAMETERS_PER_VIEW] = relief.sign * (-1.0 if wrap_axis_angle(final.parameters[0])[1] else 1.0)
     covariance *= signs[:, None] * signs
     tilt_covariance = covariance[1::PARAMETERS_PER_VIEW, 1::PARAMETERS_PER_VIEW]
     height_scale_sigma = height_scale_relative_sigma(motion.tilt_rad, tilt_covariance)
@@ -286,7 +289,7 @@ def _reconstruction(
     contradictions = doubts + prior_contradictions(
         series.names, final.parameters, tilt_covariance, prior, tilts_doubted=bool(doubts)
     )
-    warnings += height_scale_warnings(height_scale_sigma, prior)
+    warnings = [*relief.warnings, *height_scale_warnings(height_scale_sigma, prior)]
     if options.camera == "orthographic":
         warnings += perspective_warnings(series, motion.tilt_rad, points[:, 2])
     source: TiltSource = "self-calibrated" if prior.self_calibrated else _told_by(series)
@@ -302,8 +305,8 @@ def _reconstruction(
         tilt_prior_rad=series.tilt_rad,
         tilt_source=source,
         height_scale_relative_sigma=height_scale_sigma,
-        ambiguity=ambiguity,
-        relief_confidence=confidence,
+        ambiguity=relief.ambiguity,
+        relief_confidence=relief.confidence,
         rms_px=float(np.sqrt(np.mean((final.residual_px**2).sum(axis=1)))),
         reference=prior.reference,
         length_unit=series.length_unit,

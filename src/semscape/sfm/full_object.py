@@ -15,9 +15,11 @@ from semscape.errors import BadInputError
 from semscape.geometry.rotations import roll_rotation, tilted_cam_from_world
 from semscape.options import SfmOptions
 from semscape.sfm.adjust import Adjustment, refine, robust_cost
+from semscape.sfm.ambiguity import height_scale_relative_sigma
 from semscape.sfm.eliminated import eliminated_cost, pattern_scatters
 from semscape.sfm.models import camera_jacobians as tilted_jacobians
 from semscape.sfm.models import cross_matrix, inverted
+from semscape.sfm.noise import residual_overdispersion, without_outliers
 from semscape.sfm.plausibility import against_the_stage
 from semscape.types import FloatArray, Observations, TiltSeries
 
@@ -75,9 +77,11 @@ class FullObjectModel:
 class FullObjectMotion:
     """The rotations (V, 3, 3) from world to camera, with the adjustment that gave them.
 
-    The parameters of `adjustment` are those of `FullObjectModel`. `sense_margin` is by how much the stage's rotation,
-    read clockwise, costs more than counter-clockwise, twice a logarithm of likelihoods; near 0 no track tells.
-    `contradictions` name the views whose told tilt or rotation is more than 3 sigma from what the images say.
+    `observations` are those that are no outliers, `adjustment` is to them, with the parameters of `FullObjectModel`.
+    `sense_margin` is by how much the stage's rotation, read clockwise, costs more than counter-clockwise, twice a
+    logarithm of likelihoods; near 0 no track tells. `overdispersion` is by how much neighbouring keypoints that err
+    alike inflate the variance of the data. `contradictions` name the views whose told tilt or rotation is more than 3
+    sigma from what the images say.
     """
 
     cam_from_world: FloatArray
@@ -85,8 +89,10 @@ class FullObjectMotion:
     tilt_rad: FloatArray
     rotation_rad: FloatArray
     scale_px_per_um: FloatArray
+    observations: Observations
     adjustment: Adjustment
     sense_margin: float = 0.0
+    overdispersion: float = 1.0
     contradictions: tuple[str, ...] = ()
 
     @property
@@ -95,9 +101,19 @@ class FullObjectMotion:
         return self.sense_margin < -_CLEAR_MARGIN
 
     @property
+    def sense_is_open(self) -> bool:
+        """Whether the tracks leave open in which sense the stage's rotation is told."""
+        return abs(self.sense_margin) < _CLEAR_MARGIN
+
+    def height_scale_relative_sigma(self, views: tuple[int, ...]) -> float:
+        """Return the relative sigma of the heights that some views of one stage rotation give."""
+        own = 1 + PARAMETERS_PER_VIEW * np.array(views)
+        return height_scale_relative_sigma(self.tilt_rad[list(views)], self.adjustment.covariance[np.ix_(own, own)])
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """What the images contradict, and what they leave open."""
-        if abs(self.sense_margin) >= _CLEAR_MARGIN:
+        if not self.sense_is_open:
             return self.contradictions
         return (
             *self.contradictions,
@@ -159,7 +175,18 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
     cost = {sense: robust_cost(ends[sense].parameters, observations, models[sense], sigma_px) for sense in _SENSES}
     margin = cost[-1.0] - cost[1.0]
     sense = -1.0 if margin < -_CLEAR_MARGIN else 1.0  # as `FullObjectMotion.clockwise`
-    found = ends[sense]
+    first = ends[sense]
+    kept, keep = without_outliers(observations, first.residual_px, first.sigma_px)
+    overdispersion = residual_overdispersion(
+        first.residual_px[keep], kept, first.weights[keep], first.sigma_px, len(tilt)
+    )
+    found = refine(
+        first.parameters,
+        kept,
+        models[sense],
+        max_iterations=options.max_iterations,
+        overdispersion=overdispersion,
+    )
     per_view = found.parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
     rotations = tilted_cam_from_world(found.parameters[0], per_view[:, 0], per_view[:, 1]) @ roll_rotation(
         per_view[:, 4]
@@ -170,8 +197,10 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
         per_view[:, 0].copy(),
         per_view[:, 4].copy(),
         scale * (1 + per_view[:, 2]),
+        kept,
         found,
         margin,
+        overdispersion,
         tuple(_against_the_stage(series.names, tilt, sense * rotation, found, options)),
     )
 

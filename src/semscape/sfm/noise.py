@@ -7,12 +7,13 @@ import math
 import numpy as np
 from scipy.stats import chi2
 
-from semscape.types import FloatArray, Observations
+from semscape.types import BoolArray, FloatArray, Observations
 
 _INLIER_WEIGHT = 0.2
 _CELLS = 4
 _LEAST_PER_CELL = 10
 _LEAST_LENGTH = 2
+_REJECT_IN_SIGMAS = 5.0
 
 
 def noise_sigma_px(residual_px: FloatArray, observations: Observations, weights: FloatArray) -> float:
@@ -32,6 +33,17 @@ def noise_sigma_px(residual_px: FloatArray, observations: Observations, weights:
         total += len(of_length) * float(np.median(of_length)) / float(chi2.median(2 * m - 3))
         tracks += len(of_length)
     return max(math.sqrt(total / max(tracks, 1.0)), 1e-3)
+
+
+def without_outliers(
+    observations: Observations, residual_px: FloatArray, sigma_px: float
+) -> tuple[Observations, BoolArray]:
+    """Drop observations beyond 5 sigma, and tracks left with fewer than two; the second value says which are kept."""
+    keep = np.linalg.norm(residual_px, axis=1) < _REJECT_IN_SIGMAS * sigma_px * np.sqrt(free_share(observations))
+    left = np.bincount(observations.point, keep, minlength=observations.n_points)
+    keep &= left[observations.point] >= 2
+    _, point = np.unique(observations.point[keep], return_inverse=True)
+    return Observations(observations.view[keep], point.astype(np.int64), observations.xy[keep]), keep
 
 
 def free_share(observations: Observations) -> FloatArray:

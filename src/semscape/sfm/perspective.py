@@ -40,6 +40,11 @@ class PerspectiveFit:
     observations: Observations
     adjustment: Adjustment
 
+    def is_possible(self, relief_sign: float) -> bool:
+        """Whether the centre of projection lies on the source's side, beyond every point; -1 mirrors the relief."""
+        height_share = self.inverse_distance_per_um * self.adjustment.points_um[:, 2]
+        return relief_sign * self.inverse_distance_per_um > 0 and float(height_share.max()) < 1
+
 
 def fit_perspective(
     parallel: Adjustment,

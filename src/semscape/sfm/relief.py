@@ -8,6 +8,7 @@ neighbourhood is bright.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -25,6 +26,15 @@ _LEAST_COARSE_PX = 8.0
 # Shading is a rule with exceptions, however many neighbourhoods agree.
 _MOST_CONFIDENT = 0.99
 _CERTAIN_VOTE = 0.98
+
+
+class ReliefSign(NamedTuple):
+    """Whether the relief is to be mirrored (`sign` -1), how sure that is, and what to say of it."""
+
+    sign: float
+    ambiguity: Ambiguity
+    confidence: float
+    warnings: list[str]
 
 
 def relief_vote(view: Micrograph, xy: FloatArray, height: FloatArray) -> tuple[float, float]:
@@ -83,17 +93,8 @@ def relief_sign(
     points: FloatArray,
     prior: MotionPrior,
     options: SfmOptions,
-) -> tuple[float, Ambiguity, float, list[str]]:
+) -> ReliefSign:
     """Decide whether to mirror the relief: by the stage's sign, else by shading, reported as assumed.
-
-    Returns
-    -------
-    sign : float
-        -1 where the relief is to be mirrored.
-    ambiguity : "none" or "reflection"
-    confidence : float
-        That the sign is right.
-    warnings : list of str
 
     Raises
     ------
@@ -115,7 +116,7 @@ def relief_sign(
                 f"the shading contradicts the sign of the tilts (confidence {confidence:.0%}): if hills come out as "
                 "pits, give the tilts with the opposite signs (--tilts)"
             )
-        return 1.0, "none", 1.0, against
+        return ReliefSign(1.0, "none", 1.0, against)
     sign = -1.0 if correlation < 0 else 1.0
     voted = (
         "no stage tilt gives the sign of the relief: shading votes for what is bright to stand up, confidence "
@@ -123,8 +124,9 @@ def relief_sign(
     )
     if options.invert_relief:
         turned = f"{voted}; --invert-relief turns it against that vote: if hills come out as pits, run without it"
-        return -sign, "reflection", 1 - confidence, [turned]
-    return sign, "reflection", confidence, [f"{voted}; if hills come out as pits, run again with --invert-relief"]
+        return ReliefSign(-sign, "reflection", 1 - confidence, [turned])
+    assumed = f"{voted}; if hills come out as pits, run again with --invert-relief"
+    return ReliefSign(sign, "reflection", confidence, [assumed])
 
 
 def _centred_ranks(values: FloatArray) -> FloatArray:
