@@ -19,9 +19,9 @@ from semscape.types import BoolArray, FloatArray
 
 # A step of the disparity beyond this is a depth jump.
 JUMP_PX = 1.0
-# The noise of the given heights' disparity, and over how many pixels it errs alike.
+# The noise of the given heights' disparity, and over how many pixels it errs alike: 77 to 127 on simulated series.
 GIVEN_NOISE_PX = 0.6
-_GIVEN_CORRELATED = 10.0
+_GIVEN_CORRELATED = 80.0
 _SPIKE_PX = 5
 _START_TAU = 0.5
 _ROUNDS = 3
