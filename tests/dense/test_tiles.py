@@ -77,6 +77,27 @@ def disparities_apart(one: HeightMap, other: HeightMap) -> FloatArray:
     return apart
 
 
+def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What each tile finds of the variance that is shared far and wide is pooled: it knows no tiles' borders."""
+    shared_um2, own_um2 = iter([0.0, 1.0, 4.0, 3.0]), 0.25
+
+    def core(_: DenseOptions, tile: Any) -> Any:
+        shape, shared = [part.stop - part.start for part in tile.core], next(shared_um2)
+        height, uncertainty = np.zeros(shape), np.full(shape, np.sqrt(own_um2 + shared))
+        if shared == 1:  # a tile that knows half as much counts half
+            height[::2] = uncertainty[::2] = np.nan
+        number = np.full(shape, 3, np.uint8)
+        planes = height, uncertainty, number, np.zeros(shape, np.float32), 0 * number, np.ones(shape, np.float32)
+        return planes, shared
+
+    monkeypatch.setattr("semscape.dense.tiles._core", core)
+    surface = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160))
+    pooled_um2 = (0.5 * 1 + 4 + 3) / 3.5
+    assert surface.shared_variance_um2 == pytest.approx(pooled_um2)
+    stated = surface.height_map.uncertainty_um
+    assert stated[np.isfinite(stated)] == pytest.approx(np.sqrt(own_um2 + pooled_um2))
+
+
 def by_bytes(function: Any, items: Any) -> Any:
     """Return what another process would: function and items as bytes there, the values as bytes back."""
     sent = pickle.dumps(function)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,11 +46,10 @@ def test_numpy_values_in_a_report_are_plain_in_json() -> None:
     assert report["metrics"] == {"a": 1.5, "b": [0, 1], "c": None}
 
 
-def test_a_height_scale_of_unknown_error_is_not_measured() -> None:
-    unknown = with_reconstruction(RESULT, height_scale_relative_sigma=np.nan)
+def verdict_with(**changes: Any) -> str:
     report = build_report(
         RESULT.series,
-        unknown.reconstruction,
+        with_reconstruction(RESULT, **changes).reconstruction,
         RESULT.height_map,
         stages=(),
         pairs=(),
@@ -57,4 +57,16 @@ def test_a_height_scale_of_unknown_error_is_not_measured() -> None:
         options=Options(),
         failures=(),
     )
-    assert report.verdict.startswith("do not measure: nothing tells how well the tilts are known")
+    return report.verdict
+
+
+def test_a_height_scale_of_unknown_error_is_not_measured() -> None:
+    verdict = verdict_with(height_scale_relative_sigma=np.nan)
+    assert verdict.startswith("do not measure: nothing tells how well the tilts are known")
+
+
+def test_a_relief_that_the_shading_calls_inverted_is_not_good() -> None:
+    assert verdict_with(relief_confidence=1.0).startswith("good: ")
+    verdict = verdict_with(relief_confidence=0.01)
+    assert verdict.startswith("usable: ")
+    assert "the shading contradicts the sign of the tilts" in verdict

@@ -145,6 +145,11 @@ def test_a_reflection_fits_as_well_and_only_the_stage_tells_it() -> None:
     assert height_scale(up, true) == pytest.approx(1, abs=0.03)
     assert height_scale(down, swapped) == pytest.approx(-1, abs=0.03)
     assert down.reconstruction.rms_px == pytest.approx(up.reconstruction.rms_px, rel=0.02)
+    # The stage has its way, and the shading its say.
+    assert up.reconstruction.relief_confidence == 1
+    assert down.reconstruction.relief_confidence < 0.02
+    told = [any("shading contradicts" in text for text in found.reconstruction.warnings) for found in (up, down)]
+    assert told == [False, True]
 
 
 def test_the_height_scale_follows_the_stage() -> None:

@@ -18,7 +18,7 @@ from semscape.batch.memory_lack import Progress, lack_of_memory_told
 from semscape.cluster import Mapper
 from semscape.errors import SemscapeError, StorageError
 from semscape.io.lock import FolderLock
-from semscape.io.run_folder import make_folder, prepare_run_folder
+from semscape.io.run_folder import make_folder, plain_json, prepare_run_folder
 from semscape.io.series import load_series
 from semscape.io.work_folder import LOG_NAME, WorkFolder, kept_value, run_key
 from semscape.log_lines import JsonLines
@@ -68,7 +68,7 @@ def reconstruct_folder(
         if figures is None:
             _log.info("stage %s begins", name, extra={"stage": name})
         else:
-            _log.info("stage %s ended", name, extra={"stage": name, "figures": figures})
+            _log.info("stage %s ended", name, extra={"stage": name, "figures": plain_json(figures)})
         if progress:
             progress(name, figures)
 

@@ -82,6 +82,8 @@ def start_log(*, debug: bool, quiet: bool, log_json: bool) -> None:
         from semscape.log_lines import JsonLines
 
         handler.setFormatter(JsonLines())
+    elif not debug:
+        handler.addFilter(lambda record: record.name != "semscape.run")  # the command's own lines tell the same
     logging.basicConfig(level=level, handlers=[handler], force=log_json)
     logging.captureWarnings(log_json)
     for talkative in ("matplotlib", "PIL", "numba", "trimesh", "tifffile"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,6 +28,7 @@ from semscape.flags import effective_options
 
 if TYPE_CHECKING:
     from semscape.options import Options
+    from semscape.types import TiltSeries
 
 
 @app.command(short_help="Reconstruct the surface from a folder of images.")
@@ -121,14 +123,23 @@ def run_into(folder: Path, output: Path, options: Options, *, workers: int | Non
     from semscape.batch.folder_run import reconstruct_folder
     from semscape.report.console import StageLines, print_line, print_summary
 
+    told: list[str] = []
+
+    def warn(texts: Iterable[str]) -> None:
+        for text in texts if lines else ():
+            if text not in told:
+                print_line(f"warning: {text}", console(err=True), "yellow")
+                told.append(text)
+
+    def on_series(series: TiltSeries) -> None:
+        progress.take_unit_of(series)
+        warn(series.warnings)  # before the work, which may take long and may have no answer
+
     with StageLines(console(err=True), quiet=not lines) as progress:
-        result = reconstruct_folder(
-            folder, output, options, workers=workers, progress=progress, on_series=progress.take_unit_of
-        )
+        result = reconstruct_folder(folder, output, options, workers=workers, progress=progress, on_series=on_series)
     if quiet:
         return
-    for warning in (*result.report.failures, *result.report.warnings) if lines else ():
-        print_line(f"warning: {warning}", console(err=True), "yellow")
+    warn((*result.report.failures, *result.report.warnings))
     print_summary(result, console())
     print_line(f"report: {output / 'report.html'}", console())
 

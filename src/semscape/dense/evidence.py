@@ -62,13 +62,15 @@ _ISLAND_SHARE = 3e-4
 class RefinedHeights:
     """Heights (H, W) with their 1-sigma uncertainty in the same unit, and the number of agreeing views.
 
-    `lateral_period_px` (H, W) is the period of the wave that they hold with half its height.
+    `lateral_period_px` (H, W) is the period of the wave that they hold with half its height, and `slow_variance` the
+    part of every variance that is shared far and wide.
     """
 
     height: FloatArray
     uncertainty: FloatArray
     n_views: NDArray[np.uint8]
     lateral_period_px: ImageArray
+    slow_variance: float
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views) -> RefinedH
     start = without_islands(start, views.baseline)
     known = np.isfinite(start)
     if not known.any():
-        return RefinedHeights(start, start, np.zeros(start.shape, np.uint8), start.astype(np.float32))
+        return RefinedHeights(start, start, np.zeros(start.shape, np.uint8), start.astype(np.float32), 0.0)
     base = views.baseline
     given = without_spikes(filled_from_nearest(start), JUMP_PX / base)
     known |= _specks(~known) & ~_spans(given, 2 * JUMP_PX / base)
@@ -139,6 +141,7 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views) -> RefinedH
         np.where(found, np.sqrt(variance), np.nan),
         np.where(found, n_views, 0).astype(np.uint8),
         np.where(found, half_passing_period(averaging_width(stiffness, known, prior, table)), np.float32(np.nan)),
+        noise.slow,
     )
 
 

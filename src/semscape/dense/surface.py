@@ -34,10 +34,11 @@ _AGREEMENT_PRESMOOTH_PX = 0.7
 
 @dataclass(frozen=True)
 class DenseSurface:
-    """A height map with the pairs it came from."""
+    """A height map with the pairs it came from, and the part of its variances, um^2, that all of them share."""
 
     height_map: HeightMap
     pairs: tuple[tuple[int, int], ...]
+    shared_variance_um2: float
 
 
 def dense_surface(
@@ -72,7 +73,8 @@ def dense_surface(
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
     del views, heights  # the refinement needs the memory
-    return DenseSurface(_refined_map(series, reconstruction, frame, fused), tuple(pairs))
+    height_map, shared_um2 = _refined_map(series, reconstruction, frame, fused)
+    return DenseSurface(height_map, tuple(pairs), shared_um2)
 
 
 def choose_pairs(tilt_rad: FloatArray, max_pairs: int) -> list[tuple[int, int]]:
@@ -114,7 +116,9 @@ def height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float
     return float(low - margin), float(high + margin)
 
 
-def _refined_map(series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray) -> HeightMap:
+def _refined_map(
+    series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray
+) -> tuple[HeightMap, float]:
     pixel_size = grid_pixel_size_um(series, reconstruction)
     rows, columns = series.shape
     world_from_grid = np.diag([pixel_size, -pixel_size, 1.0, 1.0])
@@ -137,7 +141,7 @@ def _refined_map(series: TiltSeries, reconstruction: Reconstruction, frame: Fram
 
     sharp_px = sharpen_jumps(start_px, views(_PRESMOOTH_PX))
     refined = refine_by_evidence(sharp_px, views(_PRESMOOTH_PX), views(_AGREEMENT_PRESMOOTH_PX))
-    return HeightMap(
+    height_map = HeightMap(
         height_um=refined.height * pixel_size,
         uncertainty_um=refined.uncertainty * pixel_size,
         n_views=refined.n_views,
@@ -147,6 +151,7 @@ def _refined_map(series: TiltSeries, reconstruction: Reconstruction, frame: Fram
         length_unit=series.length_unit,
         lateral_period_um=refined.lateral_period_px * np.float32(pixel_size),
     )
+    return height_map, refined.slow_variance * pixel_size**2
 
 
 def resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, shape: tuple[int, int]) -> FloatArray:

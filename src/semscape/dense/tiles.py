@@ -33,6 +33,8 @@ _OVERLAP_PX = 88
 Mapper = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
 # Height, uncertainty, number of views, texture, reason and lateral period.
 _Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, NDArray[np.uint8], ImageArray]
+# With the part of all variances, um^2, that the tile's heights share.
+_Core = tuple[_Planes, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,21 +74,26 @@ def surface_in_tiles(
         return replace(found, height_map=with_specimen(replace(found.height_map, reason=reason), options.keep))
     places = [(slice(*r), slice(*c)) for r, c in product(pairwise(rows), pairwise(columns))]
     tiles = _cut(series, reconstruction, places)
-    height_map = _stitched(series, reconstruction, places, mapper(partial(_core, options), tiles))
+    height_map, shared_um2 = _stitched(series, reconstruction, places, mapper(partial(_core, options), tiles))
     pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
-    return DenseSurface(with_specimen(height_map, options.keep), tuple(pairs))
+    return DenseSurface(with_specimen(height_map, options.keep), tuple(pairs), shared_um2)
 
 
 def _stitched(
-    series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[slice, slice]], cores: Iterable[_Planes]
-) -> HeightMap:
-    """Put the cores of all tiles into one map."""
+    series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[slice, slice]], cores: Iterable[_Core]
+) -> tuple[HeightMap, float]:
+    """Put the cores of all tiles into one map; what heights share far and wide, drift, they share beyond their tile."""
     pixel_size = grid_pixel_size_um(series, reconstruction)
     height, uncertainty = np.full(series.shape, np.nan), np.full(series.shape, np.nan)
     n_views, reason = np.zeros(series.shape, np.uint8), np.zeros(series.shape, np.uint8)
     texture, period = (np.full(series.shape, np.nan, np.float32) for _ in range(2))
-    for place, core in zip(places, cores, strict=True):
+    shared_um2, n_known = np.zeros(len(places)), np.zeros(len(places))
+    for k, (place, (core, shared)) in enumerate(zip(places, cores, strict=True)):
         height[place], uncertainty[place], n_views[place], texture[place], reason[place], period[place] = core
+        shared_um2[k], n_known[k] = shared, np.isfinite(core[0]).sum()
+    pooled_um2 = float(shared_um2 @ n_known / max(n_known.sum(), 1.0))
+    for place, shared in zip(places, shared_um2, strict=True):
+        uncertainty[place] = np.sqrt(np.maximum(uncertainty[place] ** 2 - shared, 0.0) + pooled_um2)
     # What stands alone in a tile may be small against the whole field.
     _, parallax = common_parallax(camera_matrices(reconstruction.motion)[:, :, 2] * pixel_size)
     before = np.isfinite(height)
@@ -96,7 +103,8 @@ def _stitched(
     reason[dropped] = Reason.INCONSISTENT
     grid = _world_from_grid(series.shape, pixel_size)
     planes = height, uncertainty, n_views, texture
-    return HeightMap(*planes, pixel_size, grid, series.length_unit, reason, lateral_period_um=period)
+    height_map = HeightMap(*planes, pixel_size, grid, series.length_unit, reason, lateral_period_um=period)
+    return height_map, pooled_um2
 
 
 def _edges(size: int, tile_px: int) -> list[int]:
@@ -181,11 +189,12 @@ def _crop(values: NDArray[Any], corner: NDArray[np.int64], shape: tuple[int, int
     return np.pad(part, padding, mode=beyond)[: shape[0], : shape[1]]
 
 
-def _core(options: DenseOptions, tile: _Tile) -> _Planes:
-    found = dense_surface(tile.series, tile.reconstruction, options).height_map
+def _core(options: DenseOptions, tile: _Tile) -> _Core:
+    surface = dense_surface(tile.series, tile.reconstruction, options)
+    found = surface.height_map
     reason = unknown_reasons(tile.series, tile.reconstruction, found)
     core = tile.core
-    return (
+    planes = (
         found.height_um[core].copy(),
         found.uncertainty_um[core].copy(),
         found.n_views[core].copy(),
@@ -193,6 +202,7 @@ def _core(options: DenseOptions, tile: _Tile) -> _Planes:
         reason[core],
         found.lateral_period_um[core].copy(),
     )
+    return planes, surface.shared_variance_um2
 
 
 def _world_from_grid(shape: tuple[int, int], pixel_size: float) -> FloatArray:

@@ -89,7 +89,7 @@ def print_summary(result: Result, console: Console) -> None:
     tilts = ", ".join(
         held_text(view["tilt_deg"])
         if is_held(view, report)
-        else f"{view['tilt_deg']:.2f}" + ("" if view["tilt_sigma_deg"] is None else f" ± {view['tilt_sigma_deg']:.2f}")
+        else f"{view['tilt_deg']:z.2f}" + ("" if view["tilt_sigma_deg"] is None else f" ± {view['tilt_sigma_deg']:.2f}")
         for view in views
     )
     metrics = {key: value for key, value in report["metrics"].items() if _is_short(value)}

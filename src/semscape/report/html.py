@@ -101,7 +101,7 @@ def _tiles(report: Mapping[str, Any], result: Result) -> str:
         ("Height scale (95 %)", "unknown" if relative is None else f"±{two_digits(100 * Z_95 * relative)} %"),
         ("Height range", _height_range(metrics, result, unit)),
         ("Residual rms", f"{number(result.reconstruction.rms_px, 3)} px"),
-        ("Tilts", f"{min(tilts):.2f}° to {max(tilts):.2f}°"),
+        ("Tilts", f"{min(tilts):z.2f}° to {max(tilts):z.2f}°"),
     ]
     for key, value in metrics.items():
         if key not in _NO_TILE and not key.startswith("height_range"):

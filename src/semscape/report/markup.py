@@ -115,10 +115,10 @@ def with_sigma(value: float | None, sigma: float | None) -> str:
 
     Examples
     --------
-    >>> with_sigma(-3.02, 0.0229), with_sigma(20.02, None)
-    ('-3.020 ± 0.023', '20.02')
+    >>> with_sigma(-3.02, 0.0229), with_sigma(-0.001, 0.15), with_sigma(20.02, None)
+    ('-3.020 ± 0.023', '0.00 ± 0.15', '20.02')
     """
     if value is None or sigma is None or sigma <= 0:
         return number(value, 5)
     decimals = max(0, 1 - math.floor(math.log10(sigma)))
-    return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
+    return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}"

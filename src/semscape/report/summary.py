@@ -144,6 +144,11 @@ def _verdict(reconstruction: Reconstruction, metrics: dict[str, Any]) -> str:
             f"usable: heights to +-{scale:.0%} (95 %) from self-calibrated tilts, and the sign of the relief is "
             "assumed from its shading; stage tilts would settle both"
         )
+    if reconstruction.relief_confidence < 0.5:
+        return (
+            f"usable: heights to +-{scale:.1%} (95 %), but the shading contradicts the sign of the tilts: if hills "
+            "come out as pits, give the tilts with the opposite signs"
+        )
     if scale > GOOD_HEIGHT_SCALE or reconstruction.rms_px > _GOOD_RMS_PX:
         return f"usable: heights to +-{scale:.1%} (95 %), residual {reconstruction.rms_px:.2f} px rms"
     return f"good: heights to +-{scale:.1%} (95 %), residual {reconstruction.rms_px:.2f} px rms"

@@ -81,8 +81,8 @@ def number(value: Any, digits: int = 4) -> str:
 
     Examples
     --------
-    >>> number(1234567), number(0.000123456), number(41.25), number(float("nan"))
-    ('1,234,567', '0.0001235', '41.25', '–')
+    >>> number(1234567), number(0.000123456), number(41.25), number(-0.0), number(float("nan"))
+    ('1,234,567', '0.0001235', '41.25', '0', '–')
     """
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
@@ -94,7 +94,7 @@ def number(value: Any, digits: int = 4) -> str:
     if magnitude and (magnitude < 1e-4 or magnitude >= 1e9):
         return f"{value:.{digits - 1}e}"
     decimals = max(0, digits - 1 - (math.floor(math.log10(magnitude)) if magnitude else 0))
-    text = f"{value:,.{decimals}f}"
+    text = f"{value:z,.{decimals}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 

@@ -110,13 +110,13 @@ def relief_sign(
     seen = observations.point[in_reference]
     correlation, confidence = relief_vote(series.views[prior.reference], observations.xy[in_reference], points[seen, 2])
     if not prior.self_calibrated:
-        against = []
         if correlation < 0 and confidence > _CERTAIN_VOTE:
-            against.append(
+            against = (
                 f"the shading contradicts the sign of the tilts (confidence {confidence:.0%}): if hills come out as "
                 "pits, give the tilts with the opposite signs (--tilts)"
             )
-        return ReliefSign(1.0, "none", 1.0, against)
+            return ReliefSign(1.0, "none", 1 - confidence, [against])
+        return ReliefSign(1.0, "none", 1.0, [])
     sign = -1.0 if correlation < 0 else 1.0
     voted = (
         "no stage tilt gives the sign of the relief: shading votes for what is bright to stand up, confidence "
