@@ -9,10 +9,14 @@ from semscape.experiments.study import Setting
 def test_a_quick_run_has_all_tables_and_half_the_keypoints() -> None:
     done = run(Setting(quick=True, workers=2))
     tables = {table.name: table for table in done.tables}
-    assert list(tables) == ["counts", "validation", "ablation", "effect", "speed"]
+    assert list(tables) == ["counts", "validation", "bound", "ablation", "effect", "speed"]
     # Six classifiers, pooled once and with each of the two specimens left out.
     assert len(tables["validation"].rows) == 6 * (1 + 2)
     assert {row[1] for row in tables["validation"].rows} == {"pooled", "unseen"}
+    unseen = {row[2]: row[9] for row in tables["validation"].rows if row[:2] == ("blend", "unseen")}
+    assert {row[0]: row[1] for row in tables["bound"].rows} == unseen
+    for row in tables["bound"].rows:
+        assert all(0.5 < figure <= 1 for figure in row[1:])
     everything, model, _, response, _, chance = tables["effect"].rows
     keypoints, inliers = 2, 6
     assert abs(model[keypoints] - everything[keypoints] / 2) < 1

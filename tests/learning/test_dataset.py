@@ -14,7 +14,7 @@ from semscape.errors import BadInputError
 from semscape.learning.dataset import Dataset, capped, concatenate, label_group
 from semscape.learning.model_store import load_significance_model
 from semscape.learning.run import read_datasets, train_model
-from semscape.learning.simulated_groups import simulated_group
+from semscape.learning.simulated_groups import simulated_dataset_parts, simulated_group
 from semscape.learning.validate import Scored, summarize, validate
 from semscape.options import Options
 from semscape.types import TiltSeries
@@ -43,6 +43,15 @@ def test_one_image_is_drawn_and_its_labels_are_those_of_all_images(
     np.testing.assert_array_equal(same.significant, drawn.significant)
     others = {int(label_group(name, series, Options(), seed=seed).image[0]) for seed in range(1, 6)}
     assert len(others | {int(drawn.image[0])}) > 1
+
+
+def test_simulated_groups_follow_the_label_rule_too() -> None:
+    whole, drawn = (
+        next(simulated_dataset_parts(0, Options(), n_groups=1, every_image=every_image, size_px=SIZE))
+        for every_image in (True, False)
+    )
+    assert len(np.unique(whole.image)) == 4
+    assert len(np.unique(drawn.image)) == 1
 
 
 def test_counts_name_every_image(dataset: Dataset) -> None:
@@ -121,7 +130,10 @@ def test_the_commands_from_images_to_a_validation(tmp_path: Path, dataset: Datas
     np.testing.assert_array_equal(again_scored, first)
     done = run(app, ["validate", str(made), "--classifier", "naive_bayes,logistic", "--rows", "200"])
     assert done.exit_code == 0, done.output
-    assert len(done.output.splitlines()) == 1 + 2 * (1 + 2)
+    head, *lines, note = done.output.splitlines()
+    assert head.split()[-6:] == ["tp", "fp", "fn", "tn", "train_s", "score_us"]
+    assert [len(line.split()) for line in lines] == [len(head.split())] * 2 * (1 + 2)
+    assert note.startswith("pooled leaks")
     one, broken, text = tmp_path / "one.npz", tmp_path / "broken.npz", tmp_path / "text.npz"
     write_arrays(one, label_first(dataset).arrays())
     write_arrays(broken, dataset.arrays() | {"group": np.full(len(dataset), 2)})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,6 +66,17 @@ def test_a_model_scores_the_same_after_its_file(rows: tuple[np.ndarray, np.ndarr
         again.probability(rows[0]), expected, atol=2e-6 if name in ("logistic", "blend") else 1e-12
     )
     assert expected[rows[1]].mean() > expected[~rows[1]].mean() + 0.2
+
+
+@pytest.mark.parametrize("name", CLASSIFIERS)
+def test_the_same_model_has_the_same_bytes_at_another_place_and_time(
+    rows: tuple[np.ndarray, np.ndarray], name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = model_bytes(trained(rows, name))
+    monkeypatch.setattr("time.time", lambda: 1e9)
+    second = trained(rows, name)
+    assert model_bytes(second) == first
+    assert model_bytes(replace(second, origin={"seed": 1})) != first
 
 
 def test_the_blend_is_the_mean_of_a_line_and_of_trees_that_bend_one_way() -> None:
@@ -202,6 +214,22 @@ def test_the_shipped_model_keeps_more_of_what_matches_than_chance(series: semsca
     kept = sum(pair["inliers"] for pair in half.report.pairs) / sum(pair["inliers"] for pair in whole.report.pairs)
     assert 0.5 < kept < 1.1  # at random a quarter
     assert all(found.significance is not None for found in half.keypoints)
+
+
+def test_each_image_is_scored_once_whatever_the_number_of_its_pairs(
+    series: semscape.TiltSeries, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scored: list[str] = []
+
+    def counted(view: Micrograph, *rest: Any, **options: Any) -> Any:
+        scored.append(view.name)
+        return keep_significant(view, *rest, **options)
+
+    monkeypatch.setattr("semscape.pipeline.keep_significant", counted)
+    half = Options().with_settings(["features.significance.keep=0.5"])
+    result = semscape.reconstruct(series, half, rng=0)
+    assert len(result.report.pairs) == 3
+    assert sorted(scored) == sorted(series.names)
 
 
 def test_the_cheap_rules_and_the_threshold(series: semscape.TiltSeries) -> None:

@@ -27,7 +27,7 @@ def dataset(
         list[Path] | None, typer.Argument(help="Folders, one per specimen.", metavar="GROUP_FOLDER...")
     ] = None,
     every_image: Annotated[
-        bool, typer.Option("--every-image", help="Label every image of a folder, not one drawn at random.")
+        bool, typer.Option("--every-image", help="Label every image of a group, not one drawn at random.")
     ] = False,
     simulated: Annotated[int | None, typer.Option(min=0, metavar="N", help="Add N simulated groups.")] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="Option.")] = None,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from sklearn.metrics import precision_recall_curve, roc_auc_score, roc_curve
 
+from semscape.experiments.significance_bound import BOUND_COLUMNS, bound_rows
 from semscape.experiments.significance_effect import EFFECT_COLUMNS, SPEED_COLUMNS, effect_rows, speed_rows
 from semscape.experiments.study import Experiment, Figure, Setting, Table
 from semscape.features.traits import TRAITS
@@ -70,6 +71,7 @@ def run(setting: Setting) -> Experiment:
         tables=(
             _counts(dataset, concatenate(drawn)),
             _summary_table(summaries),
+            _bound(dataset, {name: series.shape[1] for name, series, _ in groups}, scored, setting.seed, rows),
             _ablation(dataset, tested, setting.seed, rows),
             Table("effect", "Half of the keypoints, by model and by rivals, beside all", EFFECT_COLUMNS, effects),
             Table("speed", "What half of so many keypoints saves", SPEED_COLUMNS, speeds),
@@ -78,7 +80,7 @@ def run(setting: Setting) -> Experiment:
         notes=(
             *notes,
             "In the effect the model has never seen the specimen. Seconds are processor time of one thread; to load "
-            "the model, about a second once per process, is not in them. Errors are against the truth of simulated "
+            "the model, half a second once per process, is not in them. Errors are against the truth of simulated "
             "series: of the tilts but for a common turn, rms, and of the heights of sparse points, robust sigma.",
         ),
     )
@@ -125,6 +127,20 @@ def _summary_table(summaries: list[Summary]) -> Table:
         columns=tuple(item.name for item in fields(Summary)),
         rows=tuple(astuple(row) for row in summaries),
         note="pooled leaks; unseen is the specimen left out. majority: accuracy of always saying the commoner class.",
+    )
+
+
+def _bound(dataset: Dataset, width_px: dict[str, int], scored: list[Scored], seed: int, rows: int) -> Table:
+    shipped = [item for item in scored if (item.classifier, item.protocol) == (SHIPPED_CLASSIFIER, "unseen")]
+    return Table(
+        name="bound",
+        title="What the specimen's own images would teach",
+        columns=BOUND_COLUMNS,
+        rows=bound_rows(dataset, width_px, shipped, seed=seed, rows_per_group=rows),
+        note="The blend on unseen specimens, beside gradient boosting that learned from one half of the same images "
+        "and is tried on the other, a tenth of the width between them, and the other way round. Better half: what "
+        "share of an image's significant keypoints half of them keeps. Groups -0 are under the nominal microscope, -1 "
+        "under the hard one.",
     )
 
 

@@ -6,8 +6,12 @@ other type is refused.
 
 from __future__ import annotations
 
+import io
+import json
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -50,15 +54,38 @@ class TrainedModel:
 
 
 def model_bytes(model: TrainedModel) -> bytes:
-    """Return the bytes of a model's file."""
+    """Return the bytes of a model's file, the same for the same model."""
     content = {
         "format": FORMAT,
         "groups": list(model.groups),
         "origin": dict(model.origin),
         "estimator": model.estimator,
     }
-    packed: bytes = dumps(content, compression=8, compresslevel=9)
-    return packed
+    return _numbered(dumps(content))
+
+
+def _numbered(packed: bytes) -> bytes:
+    """Return a skops archive whose objects are numbered as they come.
+
+    skops numbers them, and the files of their arrays, by their place in memory, and stamps the files with the time.
+    """
+    order: dict[int, int] = {}
+    files: dict[str, str] = {}
+
+    def number(node: dict[str, Any]) -> dict[str, Any]:
+        if "__id__" in node:
+            node["__id__"] = order.setdefault(node["__id__"], len(order))
+        if "__loader__" in node and "file" in node:
+            node["file"] = files.setdefault(node["file"], f"{len(files)}{PurePath(node['file']).suffix}")
+        return node
+
+    whole = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(packed)) as old, zipfile.ZipFile(whole, "w") as new:
+        schema = json.dumps(json.loads(old.read("schema.json"), object_hook=number), indent=1).encode()
+        for name, content in ((name, old.read(old_name)) for old_name, name in files.items()):
+            new.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED, 9)
+        new.writestr(zipfile.ZipInfo("schema.json"), schema, zipfile.ZIP_DEFLATED, 9)
+    return whole.getvalue()
 
 
 def read_model(data: bytes, name: str) -> TrainedModel:

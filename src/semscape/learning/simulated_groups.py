@@ -63,12 +63,18 @@ def simulated_group_with_truth(
 
 
 def simulated_dataset_parts(
-    seed: int, options: Options, *, n_groups: int = N_GROUPS, size_px: int = SIZE_PX, workers: int | None = None
+    seed: int,
+    options: Options,
+    *,
+    n_groups: int = N_GROUPS,
+    every_image: bool = False,
+    size_px: int = SIZE_PX,
+    workers: int | None = None,
 ) -> Iterator[Dataset]:
-    """Yield the labelled groups one after the other, every image labelled; a group without a match is left out."""
+    """Yield the labelled groups one after the other; a group without a match is left out."""
     for number in range(n_groups):
         name, series = simulated_group(number, seed, size_px=size_px, workers=workers)
         try:
-            yield label_group(name, series, options, seed=seed, every_image=True)
+            yield label_group(name, series, options, seed=seed, every_image=every_image)
         except BadInputError:
             continue  # under a hard microscope a smooth specimen may show nothing that matches
