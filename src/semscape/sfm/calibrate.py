@@ -39,6 +39,7 @@ from semscape.sfm.relief import ReliefSign, relief_sign
 from semscape.types import (
     BoolArray,
     FloatArray,
+    IntArray,
     Motion,
     Observations,
     Reconstruction,
@@ -148,9 +149,11 @@ def calibrate(
             no_parallax = require_parallax(series, kept, prior)  # perspective had spread the points both ways
     doubts = no_parallax + doubts
 
-    def found_without(views: BoolArray) -> tuple[FloatArray, FloatArray]:
+    def found_without(views: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return the tilts and their covariance as found without the stage's readings of some views."""
-        untold = replace(learnt, tilt_sigma_rad=np.where(views, np.inf, learnt.tilt_sigma_rad))
+        told_sigma = learnt.tilt_sigma_rad.copy()
+        told_sigma[views] = np.inf
+        untold = replace(learnt, tilt_sigma_rad=told_sigma)
         again = adjust(
             final.parameters, kept, untold, max_iterations=options.max_iterations, overdispersion=overdispersion
         )
@@ -284,7 +287,7 @@ def _reconstruction(
     relief: ReliefSign,
     options: SfmOptions,
     doubts: list[str],
-    without: Callable[[BoolArray], tuple[FloatArray, FloatArray]],
+    without: Callable[[IntArray], tuple[FloatArray, FloatArray]],
 ) -> Reconstruction:
     motion = _motion(final.parameters, prior)
     points = final.points_um
