@@ -11,6 +11,7 @@ from restarted import moved_by_restart_deg
 from semscape.experiments.simulated_tracks import SimulatedTracks, TrackRecipe, simulate_tracks
 from semscape.options import SfmOptions
 from semscape.sfm.adjust import Problem, adjust, with_translations
+from semscape.sfm.anisotropy import adjust_learning_anisotropy
 from semscape.sfm.calibrate import Calibration, calibrate
 from semscape.sfm.models import TiltSeriesModel, by_anisotropy_sigma
 from semscape.sfm.priors import motion_prior
@@ -79,6 +80,7 @@ def test_the_priors_stand_beside_the_posterior(staged: tuple[SimulatedTracks, Ca
 
 
 TOLD = SfmOptions().prior_anisotropy
+THREE = (-6.0, 0.0, 6.0)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +88,7 @@ TOLD = SfmOptions().prior_anisotropy
     [
         ((-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0), 0.0, 0.0, 0.3),
         ((-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0), 3 * TOLD, 1.5, 6.0),
-        ((-6.0, 0.0, 6.0), 0.0, 0.8, 1.2),  # three views tell nothing: what is told stands
+        (THREE, 0.0, 0.999, 1.001),  # three views tell nothing: what is told stands
     ],
 )
 def test_the_anisotropy_is_learnt_where_the_images_tell_it(
@@ -94,6 +96,22 @@ def test_the_anisotropy_is_learnt_where_the_images_tell_it(
 ) -> None:
     found = solved(TrackRecipe(tilts, n_points=500, anisotropy_sigma=true), 2)[1].reconstruction
     assert least * TOLD < found.prior_sigma[4] < most * TOLD
+
+
+@pytest.mark.parametrize("true", [0.0, TOLD])
+def test_three_views_state_the_interval_of_the_told_anisotropy(true: float) -> None:
+    """Whatever the estimate rests on: that three views happen to agree narrows nothing."""
+    tracks = simulate_tracks(TrackRecipe(THREE, n_points=500, anisotropy_sigma=true), rng=np.random.default_rng(4))
+    prior = motion_prior(tracks.series, SfmOptions())
+    searched = prior.centre_and_sigma()[0]
+    searched[0], searched[1::4] = np.pi / 2, np.deg2rad(THREE)
+    start = with_translations(searched, tracks.observations, len(THREE))
+    told = adjust(start, tracks.observations, prior, max_iterations=50)
+    learnt, found = adjust_learning_anisotropy(told, tracks.observations, prior, max_iterations=50, overdispersion=1.0)
+    assert learnt.expected_anisotropy == TOLD
+    apart = (told.parameters - found.parameters)[1::6]
+    about = np.diag(told.covariance)[1::6] + apart**2
+    np.testing.assert_allclose(np.diag(found.covariance)[1::6], about, rtol=0.1)
 
 
 def test_another_anisotropy_is_where_an_adjustment_with_it_ends() -> None:

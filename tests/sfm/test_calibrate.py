@@ -212,6 +212,16 @@ def test_a_wrong_tilt_is_named(told: tuple[float, ...], wrong: set[int]) -> None
     assert bool(found.contradictions) == bool(wrong)
 
 
+@pytest.mark.parametrize("relief", [0.1, 0.2])
+def test_of_a_wrong_reading_the_images_say_what_is_true(relief: float) -> None:
+    """A gross one bends the motion of a low relief, from which no extrapolation leads to the true tilt."""
+    told = (-8.0, -4.0, 0.0, -4.5, 8.0)
+    (text,) = solve(make_tracks(TILTS, stage_deg=told, seen=1.0, relief=relief)).reconstruction.contradictions
+    assert _names(3, text)
+    said, sigma = (float(number) for number in text.partition("other tilts say ")[2].partition(" deg")[0].split(" +- "))
+    assert abs(said - 4.0) < 2 * sigma < 1.0
+
+
 def _names(view: int, text: str) -> bool:
     return text.startswith(f"view_{view}.tif: the stage says") and text.endswith(
         "mistyped tilt, wrong sign or swapped files?"

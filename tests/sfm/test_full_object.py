@@ -141,17 +141,21 @@ def test_where_no_track_tells_the_sense_it_is_as_conventions_have_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "off_deg", "what"), [("tilt_rad", 2.0, "tilt"), ("stage_rotation_rad", -6.0, "rotation")]
+    ("field", "off_deg", "what"),
+    [("tilt_rad", 2.0, "tilt"), ("tilt_rad", 6.0, "tilt"), ("stage_rotation_rad", -6.0, "rotation")],
 )
 def test_a_reading_that_the_images_contradict_is_named(field: str, off_deg: float, what: str) -> None:
     series, observations, _ = dome()
     views = list(series.views)
-    told = getattr(views[3].metadata, field) + np.deg2rad(off_deg)
+    true = getattr(views[3].metadata, field)
+    told = true + np.deg2rad(off_deg)
     views[3] = replace(views[3], metadata=replace(views[3].metadata, **{field: told}))
     found = calibrate_full_object(replace(series, views=tuple(views)), observations, SfmOptions())
     assert len(found.doubts) == 1
     assert found.doubts[0].startswith(f"3.tif: the stage says {np.rad2deg(told):.2f}")
     assert f"mistyped {what}" in found.doubts[0]
+    said = float(found.doubts[0].partition(f"other {what}s say ")[2].partition(" ")[0])
+    assert said == pytest.approx(np.rad2deg(true), abs=1.0 if what == "rotation" else 0.25)
 
 
 def test_derivatives_equal_finite_differences() -> None:

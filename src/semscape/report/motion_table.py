@@ -49,7 +49,8 @@ def before_and_after(report: Mapping[str, Any], result: Result) -> str:
     return (
         f"<h3>Before and after</h3>{table(head, rows)}"
         '<p class="quiet">± is 1 σ. Before: what files or user say of the tilts, and what is assumed of the rest, '
-        "about 0 (options sfm.prior_…; the anisotropy's σ was learnt from the series). After: with the images. "
+        "about 0 (options sfm.prior_…; of four views and more the anisotropy's σ is learnt from the series). After: "
+        "with the images. "
         f"{escape(' '.join(_decided(result)))}</p>"
     )
 

@@ -12,6 +12,8 @@ from semscape.sfm.priors import MotionPrior
 from semscape.types import FloatArray, Observations
 
 _ROUNDS = 2
+# Three views leave two equations over for three anisotropies: that they agree by chance tells of no quiet scan.
+_VIEWS_THAT_TELL = 4
 # Sigmas that are weighed, in units of the one told, evenly spaced in the logarithm.
 _LEAST, _MOST, _STEPS = 0.02, 6.0, 40
 # Even odds that the scans are as quiet as they like, or stretch as told, give or take the factor e^0.5.
@@ -26,10 +28,11 @@ def adjust_learning_anisotropy(
     No two microscopes share that sigma, and it decides how far the images' tilts are trusted. So every sigma from a
     fiftieth of the told one to six times it gets a weight: its prior times the evidence of the images, the other
     parameters integrated out (Laplace approximation). From five views on the images tell a steady scan from one that
-    stretches; of three they tell next to nothing, and what is told stands.
+    stretches; of three they tell next to nothing, and what is told stands for the covariance.
 
     The estimate rests on the sigma whose tilts have the least expected error measured in their own sigmas, so that
-    a quiet scan, if it is one, is not given up for a loud one. The covariance is that of all sigmas together.
+    a quiet scan, if it is one, is not given up for a loud one. The covariance is that of all sigmas together, of three
+    views that of the one told, about the estimate.
 
     Parameters
     ----------
@@ -42,7 +45,7 @@ def adjust_learning_anisotropy(
     Returns
     -------
     prior : MotionPrior
-        With the sigma that the estimate rests on, and all sigmas with their weights.
+        With the sigma that the estimate rests on, and all sigmas with their weights, those of the covariance.
     adjustment : Adjustment
 
     References
@@ -50,7 +53,8 @@ def adjust_learning_anisotropy(
     MacKay 1992, doi:10.1162/neco.1992.4.3.415 (evidence); Gelman 2006, doi:10.1214/06-BA117A (priors of a variance
     that few groups share); Hoeting et al. 1999, doi:10.1214/ss/1009212519 (averaging over models).
     """
-    sigmas, log_prior = sigmas_weighed(prior.anisotropy_sigma)
+    told = prior.anisotropy_sigma
+    sigmas, log_prior = sigmas_weighed(told)
 
     def adjusted(start: FloatArray) -> Adjustment:
         return adjust(start, observations, prior, max_iterations=max_iterations, overdispersion=overdispersion)
@@ -70,6 +74,8 @@ def adjust_learning_anisotropy(
         mean = precision @ tilt_shift / precision.sum()
         taken = float(sigmas[np.argmin(((tilt_shift - mean) ** 2).sum(axis=1))])
         prior = replace(prior, anisotropy_sigma=taken, anisotropy_sigmas=sigmas, anisotropy_weights=weight)
+        if prior.n_views < _VIEWS_THAT_TELL:
+            prior = replace(prior, anisotropy_sigmas=np.array([told]), anisotropy_weights=np.ones(1))
         found = adjusted(found.parameters)
     return prior, found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,7 @@ from semscape.sfm.relief import ReliefSign, relief_sign
 from semscape.types import (
     BoolArray,
     FloatArray,
+    IntArray,
     Motion,
     Observations,
     Reconstruction,
@@ -146,9 +148,23 @@ def calibrate(
             kept, final = perspective.observations, perspective.adjustment
             no_parallax = require_parallax(series, kept, prior)  # perspective had spread the points both ways
     doubts = no_parallax + doubts
+
+    def found_without(views: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the tilts and their covariance as found without the stage's readings of some views."""
+        told_sigma = learnt.tilt_sigma_rad.copy()
+        told_sigma[views] = np.inf
+        untold = replace(learnt, tilt_sigma_rad=told_sigma)
+        again = adjust(
+            final.parameters, kept, untold, max_iterations=options.max_iterations, overdispersion=overdispersion
+        )
+        tilts = slice(1, None, PARAMETERS_PER_VIEW)
+        return again.parameters[tilts], again.covariance[tilts, tilts]
+
     points_variance_um2 = np.einsum("pii->pi", points_covariance(final, kept, TiltSeriesModel(prior), overdispersion))
     reconstruction = replace(
-        _reconstruction(series, replace(kept, xy=as_seen), final, points_variance_um2, prior, relief, options, doubts),
+        _reconstruction(
+            series, replace(kept, xy=as_seen), final, points_variance_um2, prior, relief, options, doubts, found_without
+        ),
         prior_mean=prior.centre_and_sigma()[0],
         prior_sigma=replace(learnt, anisotropy_sigma=learnt.expected_anisotropy).centre_and_sigma()[1],
         mirror_margin=mirror_margin(kept, final, learnt, options, overdispersion),
@@ -271,6 +287,7 @@ def _reconstruction(
     relief: ReliefSign,
     options: SfmOptions,
     doubts: list[str],
+    without: Callable[[IntArray], tuple[FloatArray, FloatArray]],
 ) -> Reconstruction:
     motion = _motion(final.parameters, prior)
     points = final.points_um
@@ -287,7 +304,7 @@ def _reconstruction(
     height_scale_sigma = height_scale_relative_sigma(motion.tilt_rad, tilt_covariance)
     tilt_sigma = np.sqrt(np.diag(tilt_covariance))
     contradictions = doubts + prior_contradictions(
-        series.names, final.parameters, tilt_covariance, prior, tilts_doubted=bool(doubts)
+        series.names, final.parameters, tilt_covariance, prior, tilts_doubted=bool(doubts), without=without
     )
     warnings = [*relief.warnings, *height_scale_warnings(height_scale_sigma, prior)]
     if options.camera == "orthographic":

@@ -7,6 +7,8 @@ images and the sense in which its rotation is read.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +23,10 @@ from semscape.sfm.models import camera_jacobians as tilted_jacobians
 from semscape.sfm.models import cross_matrix, inverted
 from semscape.sfm.noise import residual_overdispersion, without_outliers
 from semscape.sfm.plausibility import against_the_stage
-from semscape.types import FloatArray, Observations, TiltSeries
+from semscape.types import FloatArray, IntArray, Observations, TiltSeries
 
 PARAMETERS_PER_VIEW = 7  # tilt, roll, relative scale, anisotropy, stage rotation, x and y translation
+_PRIORS_PER_VIEW = 5  # all of them but the translation
 _ROTATION_SIGMA_RAD = np.deg2rad(0.5)
 _AXIS_STEPS = 180
 # Counter-clockwise seen from the electron source, and clockwise.
@@ -71,6 +74,13 @@ class FullObjectModel:
     def covariance(self, hessian: FloatArray, parameters: FloatArray) -> FloatArray:  # noqa: ARG002
         """Return the inverse of the normal matrix."""
         return inverted(hessian)
+
+    def untold(self, parameter: int, views: IntArray) -> FullObjectModel:
+        """Return the same model with one parameter of some views left free: 0 is the tilt, 4 the stage's rotation."""
+        other = copy(self)
+        other.prior_weight = self.prior_weight.copy()
+        other.prior_weight[_PRIORS_PER_VIEW * views + parameter] = 0.0
+        return other
 
 
 @dataclass(frozen=True)
@@ -180,13 +190,11 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
     overdispersion = residual_overdispersion(
         first.residual_px[keep], kept, first.weights[keep], first.sigma_px, len(tilt)
     )
-    found = refine(
-        first.parameters,
-        kept,
-        models[sense],
-        max_iterations=options.max_iterations,
-        overdispersion=overdispersion,
-    )
+
+    def refined(parameters: FloatArray, model: FullObjectModel) -> Adjustment:
+        return refine(parameters, kept, model, max_iterations=options.max_iterations, overdispersion=overdispersion)
+
+    found = refined(first.parameters, models[sense])
     per_view = found.parameters[1:].reshape(-1, PARAMETERS_PER_VIEW)
     rotations = tilted_cam_from_world(found.parameters[0], per_view[:, 0], per_view[:, 1]) @ roll_rotation(
         per_view[:, 4]
@@ -201,22 +209,34 @@ def calibrate_full_object(series: TiltSeries, observations: Observations, option
         found,
         margin,
         overdispersion,
-        tuple(_against_the_stage(series.names, tilt, sense * rotation, found, options)),
+        tuple(_against_the_stage(series.names, found, refined, models[sense])),
     )
 
 
 def _against_the_stage(
-    names: tuple[str, ...], tilt_rad: FloatArray, rotation_rad: FloatArray, found: Adjustment, options: SfmOptions
+    names: tuple[str, ...],
+    found: Adjustment,
+    refined: Callable[[FloatArray, FullObjectModel], Adjustment],
+    model: FullObjectModel,
 ) -> list[str]:
     said = []
-    for what, offset, reading_rad, trust_rad in (
-        ("tilts", 1, tilt_rad, np.deg2rad(options.prior_tilt_deg)),
-        ("rotations", 5, rotation_rad, _ROTATION_SIGMA_RAD),
-    ):
-        own = slice(offset, None, PARAMETERS_PER_VIEW)
-        trust = np.full(len(names), trust_rad)
-        posterior = found.parameters[own], found.covariance[own, own]
-        said += against_the_stage(names, what, reading_rad, trust, *posterior)
+    for what, parameter in (("tilts", 0), ("rotations", 4)):
+        own = slice(1 + parameter, None, PARAMETERS_PER_VIEW)
+        told = slice(parameter, None, _PRIORS_PER_VIEW)
+
+        def without(views: IntArray, parameter: int = parameter, own: slice = own) -> tuple[FloatArray, FloatArray]:
+            again = refined(found.parameters, model.untold(parameter, views))
+            return again.parameters[own], again.covariance[own, own]
+
+        said += against_the_stage(
+            names,
+            what,
+            model.prior_centre[told],
+            1 / model.prior_weight[told],
+            found.parameters[own],
+            found.covariance[own, own],
+            without,
+        )
     return said
 
 

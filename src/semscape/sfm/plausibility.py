@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from semscape.errors import BadInputError, DegenerateGeometryError
 from semscape.sfm.eliminated import PatternScatters, eliminated_cost, projection_matrices
 from semscape.sfm.priors import MotionPrior
-from semscape.types import BoolArray, FloatArray, Observations, TiltSeries
+from semscape.types import BoolArray, FloatArray, IntArray, Observations, TiltSeries
 
 _MOST_ROTATION_RAD = np.deg2rad(5.0)
 _LEAST_PARALLAX_PX = 0.5
@@ -190,6 +190,7 @@ def prior_contradictions(
     prior: MotionPrior,
     *,
     tilts_doubted: bool,
+    without: Callable[[IntArray], tuple[FloatArray, FloatArray]],
 ) -> list[str]:
     """Name what the images found more than 3 sigma away from what was told or is usual.
 
@@ -206,6 +207,8 @@ def prior_contradictions(
     prior : MotionPrior
     tilts_doubted : bool
         The tilts are found wrong already: then they have bent the motion, and single ones are not judged by it.
+    without : callable
+        The tilts (V,) and their covariance as found without the readings of the views (N,) that it is given.
     """
     found = []
     axis_change = _turn(parameters[0] - prior.axis_angle_rad)
@@ -219,6 +222,11 @@ def prior_contradictions(
     deviation = (per_view - centre[1:].reshape(-1, 4)) / sigma[1:].reshape(-1, 4)
     if not (prior.self_calibrated or tilts_doubted):
         told = np.flatnonzero(np.isfinite(prior.tilt_sigma_rad))
+
+        def without_told(views: IntArray) -> tuple[FloatArray, FloatArray]:
+            tilt, covariance = without(told[views])
+            return tilt[told], covariance[np.ix_(told, told)]
+
         found += against_the_stage(
             [names[view] for view in told],
             "tilts",
@@ -226,6 +234,7 @@ def prior_contradictions(
             prior.tilt_sigma_rad[told],
             per_view[told, 0],
             tilt_covariance_rad2[np.ix_(told, told)],
+            without_told,
         )
     usual = [
         (1, "roll", "deg", np.rad2deg(1.0), prior.roll_sigma_rad),
@@ -250,11 +259,13 @@ def against_the_stage(
     trust_rad: FloatArray,
     found_rad: FloatArray,
     covariance_rad2: FloatArray,
+    without: Callable[[IntArray], tuple[FloatArray, FloatArray]],
 ) -> list[str]:
     """Name the views of which a reading of the stage lies more than 3 sigma from what all else says of it.
 
     A posterior is the mean of the reading and all else, weighted by their precisions: so all else can be had back. A
-    wrong reading bends what is found of its neighbours too, so the worst is taken out before the others are judged.
+    wrong reading bends what is found of its neighbours too, and a gross one more than that mean tells: so all is found
+    anew without the worst before the others are judged.
 
     Parameters
     ----------
@@ -264,18 +275,22 @@ def against_the_stage(
         What the stage says, and its sigma.
     found_rad, covariance_rad2 : (V,) and (V, V) float arrays
         The posterior, and its covariance.
+    without : callable
+        The same as found without the readings of the views (N,) that it is given.
 
     Examples
     --------
     Three angles that the images know to be equal; one reading bends what is found of all three:
 
-    >>> covariance = np.linalg.inv(np.eye(3) + 100 * (3 * np.eye(3) - np.ones((3, 3))))
     >>> reading = np.array([0.0, 9.0, 0.5])
-    >>> said = against_the_stage("abc", "tilts", reading, np.ones(3), covariance @ reading, covariance)
+    >>> def without(views):
+    ...     told = np.diag(1.0 - np.isin(range(3), views))
+    ...     covariance = np.linalg.inv(told + 100 * (3 * np.eye(3) - np.ones((3, 3))))
+    ...     return covariance @ told @ reading, covariance
+    >>> said = against_the_stage("abc", "tilts", reading, np.ones(3), *without([]), without)
     >>> [text[0] for text in said]
     ['b']
     """
-    found_rad, covariance_rad2 = found_rad.copy(), covariance_rad2.copy()
     mistyped = _MISTYPED.replace("tilt", what.removesuffix("s"))
     said: dict[int, str] = {}
     while len(said) < len(names):
@@ -288,16 +303,17 @@ def against_the_stage(
         worst = int(np.argmax(in_sigmas))
         if in_sigmas[worst] <= _CONTRADICTION_IN_SIGMAS:
             break
+        found_rad, covariance_rad2 = without(np.array([*said, worst]))
         stage, rest = (
             f"{angle:.2f} +- {error:.2g} deg"
             for angle, error in np.rad2deg(
-                [(reading_rad[worst], trust_rad[worst]), (otherwise[worst], precision[worst] ** -0.5)]
+                [
+                    (reading_rad[worst], trust_rad[worst]),
+                    (found_rad[worst], np.sqrt(covariance_rad2[worst, worst])),
+                ]
             ).tolist()
         )
         said[worst] = f"{names[worst]}: the stage says {stage}, the images and the other {what} say {rest}; {mistyped}"
-        column = covariance_rad2[:, worst] / (variance[worst] * precision[worst] * trust_rad[worst] ** 2)
-        found_rad += column * (found_rad[worst] - reading_rad[worst])
-        covariance_rad2 += np.outer(column, covariance_rad2[worst])
     return [said[view] for view in sorted(said)]
 
 
