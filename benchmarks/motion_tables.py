@@ -140,8 +140,7 @@ def _rivals(row: dict[str, Any]) -> str:
     return (
         f"## Bundle adjustment, {row['views']} views of {row['points']:,} points\n\n"
         "One after the other in one run, from the same start. COLMAP knows no parallel projection and no priors: "
-        "pinholes from 10 m take its place, on the images alone. The seconds are those of a machine that was busy "
-        "with other work: their ratios count.\n\n"
+        "pinholes from 10 m take its place, on the images alone.\n\n"
         + _table(["method", *keys.values()], ([n, *(m.get(key) for key in keys)] for n, m in methods.items()))
     )
 
