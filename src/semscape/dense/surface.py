@@ -12,6 +12,7 @@ import numpy as np
 
 from semscape.dense.evidence import refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
+from semscape.dense.given import JUMP_PX
 from semscape.dense.rectify import Frame, grid_pixel_size_um, rectified_frame, warp_to_frame
 from semscape.dense.sampling import ViewSampler, common_parallax, grid_in_view
 from semscape.dense.stereo import RectifiedView, pair_heights
@@ -26,7 +27,6 @@ Mapper = Callable[[Callable[..., FloatArray], Iterable[tuple[int, int]]], Iterab
 _LEAST_BASELINE = 0.01
 _WIDEST_TILT_RAD = np.deg2rad(30.0)
 _RANGE_MARGIN = 0.15
-_JUMP_PX = 1.0
 _PRESMOOTH_PX = 0.5
 # Whether views agree is asked of images with less noise.
 _AGREEMENT_PRESMOOTH_PX = 0.7
@@ -139,8 +139,8 @@ def _refined_map(
         )
         return Views(samplers, parallax, reconstruction.reference)
 
-    sharp_px = sharpen_jumps(start_px, views(_PRESMOOTH_PX))
-    refined = refine_by_evidence(sharp_px, views(_PRESMOOTH_PX), views(_AGREEMENT_PRESMOOTH_PX))
+    looked = views(_PRESMOOTH_PX)
+    refined = refine_by_evidence(sharpen_jumps(start_px, looked), looked, views(_AGREEMENT_PRESMOOTH_PX))
     height_map = HeightMap(
         height_um=refined.height * pixel_size,
         uncertainty_um=refined.uncertainty * pixel_size,
@@ -177,7 +177,7 @@ def resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, s
     nearest_known = warp(known.astype(np.float64), cv2.INTER_NEAREST) > 0.5
     share = warp(known.astype(np.float64), cv2.INTER_LINEAR)
     linear = warp(values, cv2.INTER_LINEAR) / np.maximum(share, 1e-6)
-    smooth = (share > 0.999) & (np.abs(linear - nearest) < _JUMP_PX / max(float(np.ptp(frame.parallax)), 1e-3))
+    smooth = (share > 0.999) & (np.abs(linear - nearest) < JUMP_PX / max(float(np.ptp(frame.parallax)), 1e-3))
     return np.where(nearest_known, np.where(smooth, linear, nearest), np.nan)
 
 
