@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 from sklearn.model_selection import StratifiedKFold
 
@@ -136,18 +137,19 @@ def validate(
         When the dataset holds one specimen alone and the protocol is "unseen".
     """
     dataset = capped(dataset, rows_per_group, rng=np.random.default_rng(seed))
+    features, traits = dataset.columns(trait_groups), trait_names(trait_groups)
     specimen = np.array(dataset.specimen)[dataset.group]
     for name in classifiers:
         if protocol == "pooled":
-            folds = StratifiedKFold(_FOLDS, shuffle=True, random_state=seed).split(dataset.xy, dataset.significant)
-            yield _score(name, protocol, "all", dataset, trait_groups, list(folds), seed)
+            folds = StratifiedKFold(_FOLDS, shuffle=True, random_state=seed).split(features, dataset.significant)
+            yield _score(name, protocol, "all", dataset, features, traits, list(folds), seed)
             continue
         for other in left_out or sorted(set(specimen)):
             test = specimen == other
             if test.all() or not test.any():
                 raise BadInputError(f"the dataset holds {str(other)!r} alone or not at all; another specimen is needed")
             split = (np.flatnonzero(~test), np.flatnonzero(test))
-            yield _score(name, protocol, other, dataset, trait_groups, [split], seed)
+            yield _score(name, protocol, other, dataset, features, traits, [split], seed)
 
 
 def _score(
@@ -155,11 +157,11 @@ def _score(
     protocol: str,
     specimen: str,
     dataset: Dataset,
-    trait_groups: Sequence[str],
+    features: NDArray[np.float32],
+    names: tuple[str, ...],
     splits: list[tuple[IntArray, IntArray]],
     seed: int,
 ) -> Scored:
-    features, names = dataset.columns(trait_groups), trait_names(trait_groups)
     scores, rows = [], []
     train_s = score_s = 0.0
     for train, test in splits:
