@@ -36,7 +36,7 @@ from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.dense.sweep import Views
 from semscape.types import BoolArray, FloatArray, ImageArray
 
-_ROUNDS = 4
+_ROUNDS = 3
 # Gain and offset are taken out over this neighbourhood: shading that changes with tilt is smooth beside texture.
 _NORMALIZING_PX = 2.5
 # Views that agree are counted over this one.

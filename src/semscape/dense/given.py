@@ -24,7 +24,7 @@ GIVEN_NOISE_PX = 0.6
 _GIVEN_CORRELATED = 80.0
 _SPIKE_PX = 5
 _START_TAU = 0.5
-_ROUNDS = 3
+_ROUNDS, _STEPS = 3, 60
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,11 @@ def smoothed(given: FloatArray, known: BoolArray, baseline: float, table: Lattic
     cut = smoothness_cut(np.where(known, given, np.nan), JUMP_PX / baseline)
     prior = Smoothness(np.full(given.shape, _START_TAU**2), np.ones(given.shape))
     stiffness = np.where(known, (baseline / GIVEN_NOISE_PX) ** 2 / _GIVEN_CORRELATED, 0.0)
-    # Conjugate gradients are slow with what is smooth: they start from what is near.
+    # What is smooth over more pixels than some steps without coarser grids reach is left as it was given.
     height = median_of(given)
     for _ in range(_ROUNDS):
-        height = most_probable(height, DataTerm(stiffness, stiffness * (given - height)), cut, prior)
+        data = DataTerm(stiffness, stiffness * (given - height))
+        height = most_probable(height, data, cut, prior, steps=_STEPS, levels=0)
         prior = smoothness_by_evidence(height, stiffness, cut, prior, table)
     return SmoothedHeights(height, stiffness, cut, prior)
 

@@ -16,21 +16,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from semscape.compiled import njit
+from semscape.dense.multilevel import Plane, answer, inverse_diagonals
 from semscape.dense.sampling import gaussian_window
 from semscape.types import BoolArray, FloatArray
-
-Plane = NDArray[np.float32]
 
 _LOCAL_PX = 8.0
 _STIFFNESS_PX = 4.0
 _STUDENT = 4.0
 # A power of the fixed point's step: it converges slowly.
 _HASTE = 2.0
-_TOLERANCE = 1e-2
-_MOST_STEPS = 60
+_TOLERANCE = 1e-4
+_STEPS, _LEVELS = 30, 5
 _LATTICE = 64
 
 
@@ -162,27 +160,37 @@ def averaging_width(stiffness: FloatArray, known: BoolArray, prior: Smoothness, 
 
 
 def most_probable(
-    height: FloatArray, data: DataTerm, cut: tuple[FloatArray, FloatArray, FloatArray], prior: Smoothness
+    height: FloatArray,
+    data: DataTerm,
+    cut: tuple[FloatArray, FloatArray, FloatArray],
+    prior: Smoothness,
+    *,
+    steps: int = _STEPS,
+    levels: int = _LEVELS,
 ) -> FloatArray:
     """Solve (k + D' W D / tau^2) h = k height + pull by conjugate gradients from `height` on.
 
-    The change is solved for, so single precision is enough; sums are in double precision and in one order.
+    The change is solved for, so single precision is enough; sums are in double precision and in one order. `levels`
+    coarser grids precondition it; with none, steps that are few leave what is smooth over more pixels as it is.
     """
     wxx, wyy, wxy = ((w * prior.weight / prior.variance).astype(np.float32) for w in cut)
     stiffness = data.stiffness.astype(np.float32)
     offset = float(height.mean())
-    pulled = np.empty(height.shape, np.float32)
-    _apply((height - offset).astype(np.float32), np.zeros_like(stiffness), wxx, wyy, wxy, pulled)
-    residual = data.pull.astype(np.float32) - pulled
-    inverse = np.float32(1) / np.maximum(stiffness + _prior_diagonal(wxx, wyy, wxy), np.float32(1e-9))
-    change, direction, product = np.zeros_like(residual), residual * inverse, np.empty_like(residual)
-    power = start = float(np.sum(residual * direction, dtype=np.float64))
-    for _ in range(_MOST_STEPS):
+    product = np.empty(height.shape, np.float32)
+    _apply((height - offset).astype(np.float32), np.zeros_like(stiffness), wxx, wyy, wxy, product)
+    residual = data.pull.astype(np.float32) - product
+    inverse = inverse_diagonals(stiffness, (wxx, wyy, wxy), stiffness + _prior_diagonal(wxx, wyy, wxy), levels)
+    change = np.zeros_like(residual)
+    direction = answer(residual, inverse)
+    power = start = _dot(residual, direction)
+    for _ in range(steps):
         if power <= _TOLERANCE**2 * start or power == 0:
             break
         step = power / _apply(direction, stiffness, wxx, wyy, wxy, product)
-        power, last = _descend(np.float32(step), direction, product, inverse, change, residual), power
-        _turn(np.float32(power / last), inverse, residual, direction)
+        _descend(np.float32(step), direction, product, change, residual)
+        answered = answer(residual, inverse)
+        power, last = _dot(residual, answered), power
+        _turn(np.float32(power / last), answered, direction)
     return height + change
 
 
@@ -246,24 +254,29 @@ def _apply(h: Plane, k: Plane, wxx: Plane, wyy: Plane, wxy: Plane, out: Plane) -
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _descend(
-    step: np.float32, direction: Plane, product: Plane, inverse: Plane, change: Plane, residual: Plane
-) -> float:  # pragma: no cover - compiled
-    """Go along the direction, in place, and return the residual's power."""
+def _dot(one: Plane, other: Plane) -> float:  # pragma: no cover - compiled
     total = 0.0
-    for r in range(len(change)):
+    for r in range(len(one)):
         row_total = 0.0
-        for c in range(change.shape[1]):
-            change[r, c] += step * direction[r, c]
-            left = residual[r, c] - step * product[r, c]
-            residual[r, c] = left
-            row_total += left * left * inverse[r, c]
+        for c in range(one.shape[1]):
+            row_total += one[r, c] * other[r, c]
         total += row_total
     return total
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _turn(ratio: np.float32, inverse: Plane, residual: Plane, direction: Plane) -> None:  # pragma: no cover - compiled
+def _descend(
+    step: np.float32, direction: Plane, product: Plane, change: Plane, residual: Plane
+) -> None:  # pragma: no cover - compiled
+    """Go along the direction, in place."""
+    for r in range(len(change)):
+        for c in range(change.shape[1]):
+            change[r, c] += step * direction[r, c]
+            residual[r, c] -= step * product[r, c]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _turn(ratio: np.float32, answered: Plane, direction: Plane) -> None:  # pragma: no cover - compiled
     for r in range(len(direction)):
         for c in range(direction.shape[1]):
-            direction[r, c] = inverse[r, c] * residual[r, c] + ratio * direction[r, c]
+            direction[r, c] = answered[r, c] + ratio * direction[r, c]
