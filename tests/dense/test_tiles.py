@@ -87,7 +87,7 @@ def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPa
         if shared == 1:  # a tile that knows half as much counts half
             height[::2] = uncertainty[::2] = np.nan
         number = np.full(shape, 3, np.uint8)
-        planes = height, uncertainty, number, np.zeros(shape, np.float32), 0 * number, np.ones(shape, np.float32)
+        planes = height, uncertainty, number, np.zeros(shape, np.float32), np.ones(shape, np.float32)
         return planes, shared
 
     monkeypatch.setattr("semscape.dense.tiles._core", core)
@@ -120,3 +120,11 @@ def test_every_unknown_pixel_has_a_reason_and_no_known_one() -> None:
         assert np.array_equal(height_map.reason == Reason.KNOWN, known)
         assert not (height_map.reason == Reason.NOT_TOLD).any()
         assert (height_map.reason[-8:] == Reason.MASKED).mean() > 0.9  # the data bar
+
+
+def test_reasons_are_those_of_the_whole_field() -> None:
+    """A tile's crop ends where the images do not, and its own brightest place need not be white."""
+    whole, tiled = found(0).reason, found(160).reason
+    for reason in (Reason.OUTSIDE, Reason.MASKED):
+        assert (whole == reason).sum() > 300
+        assert np.mean(tiled[(whole == reason) & (tiled > 0)] == reason) > 0.99
