@@ -87,15 +87,20 @@ def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPa
         if shared == 1:  # a tile that knows half as much counts half
             height[::2] = uncertainty[::2] = np.nan
         number = np.full(shape, 3, np.uint8)
-        planes = height, uncertainty, number, np.zeros(shape, np.float32), np.ones(shape, np.float32)
-        return planes, shared
+        period = times = np.ones(shape, np.float32)
+        if shared == 4:  # few views hold three times as much of it
+            times = 3 * times
+            uncertainty = np.sqrt(own_um2 + shared * times)
+        return (height, uncertainty, number, np.zeros(shape, np.float32), period, times), shared
 
     monkeypatch.setattr("semscape.dense.tiles._core", core)
     surface = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160))
     pooled_um2 = (0.5 * 1 + 4 + 3) / 3.5
     assert surface.shared_variance_um2 == pytest.approx(pooled_um2)
     stated = surface.height_map.uncertainty_um
-    assert stated[np.isfinite(stated)] == pytest.approx(np.sqrt(own_um2 + pooled_um2))
+    times = surface.shared_times
+    assert np.unique(times).tolist() == [1.0, 3.0]
+    assert stated[np.isfinite(stated)] == pytest.approx(np.sqrt(own_um2 + pooled_um2 * times)[np.isfinite(stated)])
 
 
 def by_bytes(function: Any, items: Any) -> Any:

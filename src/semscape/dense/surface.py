@@ -34,11 +34,16 @@ _AGREEMENT_PRESMOOTH_PX = 0.7
 
 @dataclass(frozen=True)
 class DenseSurface:
-    """A height map with the pairs it came from, and the part of its variances, um^2, that all of them share."""
+    """A height map with the pairs it came from, and the part of its variances, um^2, that all of them share.
+
+    `shared_times` (H, W) is how many times that each height holds, NaN where unknown: more than 1 where not all views
+    agree.
+    """
 
     height_map: HeightMap
     pairs: tuple[tuple[int, int], ...]
     shared_variance_um2: float
+    shared_times: ImageArray
 
 
 def dense_surface(
@@ -73,8 +78,8 @@ def dense_surface(
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
     del views, heights  # the refinement needs the memory
-    height_map, shared_um2 = _refined_map(series, reconstruction, frame, fused)
-    return DenseSurface(height_map, tuple(pairs), shared_um2)
+    height_map, shared_um2, times = _refined_map(series, reconstruction, frame, fused)
+    return DenseSurface(height_map, tuple(pairs), shared_um2, times)
 
 
 def choose_pairs(tilt_rad: FloatArray, max_pairs: int) -> list[tuple[int, int]]:
@@ -118,7 +123,7 @@ def height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float
 
 def _refined_map(
     series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray
-) -> tuple[HeightMap, float]:
+) -> tuple[HeightMap, float, ImageArray]:
     pixel_size = grid_pixel_size_um(series, reconstruction)
     rows, columns = series.shape
     world_from_grid = np.diag([pixel_size, -pixel_size, 1.0, 1.0])
@@ -151,7 +156,7 @@ def _refined_map(
         length_unit=series.length_unit,
         lateral_period_um=refined.lateral_period_px * np.float32(pixel_size),
     )
-    return height_map, refined.slow_variance * pixel_size**2
+    return height_map, refined.slow_variance * pixel_size**2, refined.slow_share
 
 
 def resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, shape: tuple[int, int]) -> FloatArray:

@@ -31,8 +31,8 @@ from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, Ti
 _OVERLAP_PX = 88
 
 Mapper = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
-# Height, uncertainty, number of views, texture and lateral period.
-_Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, ImageArray]
+# Height, uncertainty, number of views, texture, lateral period, and how many times the shared variance each holds.
+_Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, ImageArray, ImageArray]
 # With the part of all variances, um^2, that the tile's heights share.
 _Core = tuple[_Planes, float]
 
@@ -73,9 +73,9 @@ def surface_in_tiles(
     else:
         places = [(slice(*r), slice(*c)) for r, c in product(pairwise(rows), pairwise(columns))]
         cores = mapper(partial(_core, options), _cut(series, reconstruction, places))
-        height_map, shared_um2 = _stitched(series, reconstruction, places, cores)
+        height_map, shared_um2, times = _stitched(series, reconstruction, places, cores)
         pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
-        found = DenseSurface(height_map, tuple(pairs), shared_um2)
+        found = DenseSurface(height_map, tuple(pairs), shared_um2, times)
     # Of the whole field at once: a tile knows neither where the images end nor what is white in them.
     reason = unknown_reasons(series, reconstruction, found.height_map)
     return replace(found, height_map=with_specimen(replace(found.height_map, reason=reason), options.keep))
@@ -83,19 +83,20 @@ def surface_in_tiles(
 
 def _stitched(
     series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[slice, slice]], cores: Iterable[_Core]
-) -> tuple[HeightMap, float]:
+) -> tuple[HeightMap, float, ImageArray]:
     """Put the cores of all tiles into one map; what heights share far and wide, drift, they share beyond their tile."""
     pixel_size = grid_pixel_size_um(series, reconstruction)
     height, uncertainty = np.full(series.shape, np.nan), np.full(series.shape, np.nan)
     n_views = np.zeros(series.shape, np.uint8)
-    texture, period = (np.full(series.shape, np.nan, np.float32) for _ in range(2))
+    texture, period, times = (np.full(series.shape, np.nan, np.float32) for _ in range(3))
     shared_um2, n_known = np.zeros(len(places)), np.zeros(len(places))
     for k, (place, (core, shared)) in enumerate(zip(places, cores, strict=True)):
-        height[place], uncertainty[place], n_views[place], texture[place], period[place] = core
+        height[place], uncertainty[place], n_views[place], texture[place], period[place], times[place] = core
         shared_um2[k], n_known[k] = shared, np.isfinite(core[0]).sum()
     pooled_um2 = float(shared_um2 @ n_known / max(n_known.sum(), 1.0))
     for place, shared in zip(places, shared_um2, strict=True):
-        uncertainty[place] = np.sqrt(np.maximum(uncertainty[place] ** 2 - shared, 0.0) + pooled_um2)
+        own = np.maximum(uncertainty[place] ** 2 - shared * times[place], 0.0)
+        uncertainty[place] = np.sqrt(own + pooled_um2 * times[place])
     # What stands alone in a tile may be small against the whole field.
     _, parallax = common_parallax(camera_matrices(reconstruction.motion)[:, :, 2] * pixel_size)
     height = without_islands(height / pixel_size, float(np.ptp(parallax))) * pixel_size
@@ -104,7 +105,7 @@ def _stitched(
     grid = _world_from_grid(series.shape, pixel_size)
     planes = height, uncertainty, n_views, texture
     height_map = HeightMap(*planes, pixel_size, grid, series.length_unit, lateral_period_um=period)
-    return height_map, pooled_um2
+    return height_map, pooled_um2, times
 
 
 def _edges(size: int, tile_px: int) -> list[int]:
@@ -199,6 +200,7 @@ def _core(options: DenseOptions, tile: _Tile) -> _Core:
         found.n_views[core].copy(),
         found.texture[core].copy(),
         found.lateral_period_um[core].copy(),
+        surface.shared_times[core].copy(),
     )
     return planes, surface.shared_variance_um2
 
