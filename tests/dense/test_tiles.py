@@ -133,3 +133,14 @@ def test_reasons_are_those_of_the_whole_field() -> None:
     for reason in (Reason.OUTSIDE, Reason.MASKED):
         assert (whole == reason).sum() > 300
         assert np.mean(tiled[(whole == reason) & (tiled > 0)] == reason) > 0.99
+
+
+def test_what_stands_above_all_sparse_points_is_found() -> None:
+    """Spheres without keypoints of their own, as under wide tilts: the ground's points alone tell no range."""
+    series, reconstruction = calibrated()
+    height = reconstruction.points_um[:, 2]
+    ground = reconstruction.points_um[height < np.quantile(height, 0.3)]
+    apart = surface_in_tiles(series, replace(reconstruction, points_um=ground), DenseOptions(tile_px=0)).height_map
+    whole = found(0)
+    highest = whole.height_um > np.nanquantile(whole.height_um, 0.97)
+    assert np.mean(disparities_apart(whole, apart)[highest] < 0.5) > 0.97

@@ -27,6 +27,9 @@ Mapper = Callable[[Callable[..., FloatArray], Iterable[tuple[int, int]]], Iterab
 _LEAST_BASELINE = 0.01
 _WIDEST_TILT_RAD = np.deg2rad(30.0)
 _RANGE_MARGIN = 0.15
+# Smooth things that stand free, under wide tilts above all, hold no sparse point: they may be as high as this share of
+# the field is wide. On the coarsest images, where the whole range is searched, it costs nothing.
+_LEAST_MARGIN = 0.25
 _PRESMOOTH_PX = 0.5
 # Whether views agree is asked of images with less noise.
 _AGREEMENT_PRESMOOTH_PX = 0.7
@@ -115,9 +118,9 @@ def _pair_at_zero_tilt(
 
 
 def height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float, float]:
-    """Return the range of the sparse heights, without their last outliers, widened by 15 % on each side."""
+    """Return the range of the sparse heights, without their last outliers, widened by a margin on each side."""
     low, high = np.percentile(reconstruction.points_um[:, 2], [0.2, 99.8]) / frame.pixel_size_um
-    margin = _RANGE_MARGIN * (high - low)
+    margin = max(_RANGE_MARGIN * (high - low), _LEAST_MARGIN * min(frame.shape))
     return float(low - margin), float(high + margin)
 
 
