@@ -136,6 +136,16 @@ def test_drift_makes_more_of_heights_that_fewer_views_see() -> None:
     assert 3 < ratio < 6
 
 
+def test_what_is_black_in_all_views_has_no_height() -> None:
+    """All views are equal there, whatever the height; the rim of what is beside it must not speak for it."""
+    views = look_at(np.zeros(SHAPE[1]), noise=1.0)
+    for sampler in views.samplers:
+        sampler.image[:, 80:] = sampler.along[:, 80:] = 0
+    found = refine_by_evidence(np.zeros(SHAPE), views, views)
+    assert np.isfinite(found.height[15:-15, 20:75]).mean() > 0.95
+    assert np.isnan(found.height[:, 102:]).all()
+
+
 def test_an_unknown_map_stays_unknown() -> None:
     unknown = np.full(SHAPE, np.nan)
     nothing = look_at(np.zeros(SHAPE[1]))

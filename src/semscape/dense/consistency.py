@@ -13,6 +13,8 @@ from semscape.types import BoolArray, FloatArray, ImageArray
 
 _LEAST_CORRELATION = 0.3
 _FULL_CORRELATION = 0.7
+# Values are normalized: a window that holds less than this of their power is empty but for the rim of some texture.
+_LEAST_POWER = 0.05
 
 Stack = NDArray[np.float32]
 
@@ -87,7 +89,7 @@ def _weigh_by_agreement(
     start = weights.copy()
     for i in range(len(values)):
         others = (sum_of_all - values[i] * start[i]) / np.maximum(total - start[i], 1e-3)
-        power = np.maximum(gaussian_window(others * others * surface, sigma_px), 1e-6)
-        own = np.maximum(gaussian_window(values[i] * values[i] * surface, sigma_px), 1e-6)
+        power = np.maximum(gaussian_window(others * others * surface, sigma_px), _LEAST_POWER)
+        own = np.maximum(gaussian_window(values[i] * values[i] * surface, sigma_px), _LEAST_POWER)
         correlation = gaussian_window(values[i] * others * surface, sigma_px) / np.sqrt(power * own)
         weights[i] *= np.clip((correlation - _LEAST_CORRELATION) / (_FULL_CORRELATION - _LEAST_CORRELATION), 0, 1)
