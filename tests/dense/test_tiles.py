@@ -103,18 +103,22 @@ def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPa
     assert stated[np.isfinite(stated)] == pytest.approx(np.sqrt(own_um2 + pooled_um2 * times)[np.isfinite(stated)])
 
 
-def by_bytes(function: Any, items: Any) -> Any:
+def by_bytes(function: Any, *items: Any) -> Any:
     """Return what another process would: function and items as bytes there, the values as bytes back."""
     sent = pickle.dumps(function)
-    return [pickle.loads(pickle.dumps(pickle.loads(sent)(pickle.loads(pickle.dumps(item))))) for item in items]
+    return [
+        pickle.loads(pickle.dumps(pickle.loads(sent)(*pickle.loads(pickle.dumps(given)))))
+        for given in zip(*items, strict=True)
+    ]
 
 
+@pytest.mark.parametrize("tile_px", [0, 160])
 @pytest.mark.parametrize("way", ["threads", "processes"])
-def test_who_computes_the_tiles_changes_nothing(way: str) -> None:
-    one = found(160)
+def test_who_computes_the_surface_changes_nothing(way: str, tile_px: int) -> None:
+    one = found(tile_px)
     with ThreadPoolExecutor(3) as pool:
         mapper = pool.map if way == "threads" else by_bytes
-        other = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160), mapper=mapper).height_map
+        other = surface_in_tiles(*calibrated(), DenseOptions(tile_px=tile_px), mapper=mapper).height_map
     for plane in ("height_um", "uncertainty_um", "n_views", "texture", "reason", "specimen"):
         assert np.array_equal(getattr(one, plane), getattr(other, plane), equal_nan=plane not in ("specimen",)), plane
 

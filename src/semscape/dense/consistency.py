@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from semscape.dense.sampling import ViewSampler, gaussian_window
+from semscape.dense.side_by_side import Mapper
 from semscape.types import BoolArray, FloatArray, ImageArray
 
 _LEAST_CORRELATION = 0.3
@@ -49,22 +51,16 @@ def compare_views(
     samplers: Sequence[ViewSampler],
     parallax: FloatArray,
     normalizing_px: float,
+    *,
+    mapper: Mapper = map,
 ) -> ComparedViews:
     """Resample all views at heights (H, W), and take out gain and offset over a window of `normalizing_px`."""
-    values = np.empty((len(samplers), *height.shape), np.float32)
-    slopes, weights = np.empty_like(values), np.empty_like(values)
     surface = known.astype(np.float32)
-    for i, sampler in enumerate(samplers):
-        value, slope, inside = sampler.sample(height)
-        weight = inside * surface
-        coverage = np.maximum(gaussian_window(weight, normalizing_px), 1e-3)
-        mean = gaussian_window(value * weight, normalizing_px) / coverage
-        centred = (value - mean) * weight
-        # What the mean takes from the values it takes from their slope as well.
-        slope -= gaussian_window(slope * weight, normalizing_px) / coverage
-        deviation = np.sqrt(np.maximum(gaussian_window(centred * centred, normalizing_px) / coverage, 1e-6))
-        values[i], slopes[i], weights[i] = centred / deviation, slope * weight / deviation, weight
-    _weigh_by_agreement(values, weights, surface, normalizing_px)
+    planes = mapper(partial(_through_view, height, surface, normalizing_px), samplers)
+    values, slopes, inside = (np.stack(kind) for kind in zip(*planes, strict=True))
+    total = np.maximum(inside.sum(axis=0), 1e-3)
+    sum_of_all = (values * inside).sum(axis=0)
+    weights = np.stack(list(mapper(partial(_agreeing, sum_of_all, total, surface, normalizing_px), values, inside)))
     total = np.maximum(weights.sum(axis=0), 1e-3)
     g = parallax[:, None, None].astype(np.float32)
     lever = g - (g * weights).sum(axis=0) / total
@@ -80,16 +76,34 @@ def compare_views(
     )
 
 
-def _weigh_by_agreement(
-    values: NDArray[np.float32], weights: NDArray[np.float32], surface: ImageArray, sigma_px: float
-) -> None:
-    """Lower in place the weight of a view where it does not correlate with the others: occluded, charged, moved."""
-    total = np.maximum(weights.sum(axis=0), 1e-3)
-    sum_of_all = (values * weights).sum(axis=0)
-    start = weights.copy()
-    for i in range(len(values)):
-        others = (sum_of_all - values[i] * start[i]) / np.maximum(total - start[i], 1e-3)
-        power = np.maximum(gaussian_window(others * others * surface, sigma_px), _LEAST_POWER)
-        own = np.maximum(gaussian_window(values[i] * values[i] * surface, sigma_px), _LEAST_POWER)
-        correlation = gaussian_window(values[i] * others * surface, sigma_px) / np.sqrt(power * own)
-        weights[i] *= np.clip((correlation - _LEAST_CORRELATION) / (_FULL_CORRELATION - _LEAST_CORRELATION), 0, 1)
+def _through_view(
+    height: FloatArray, surface: ImageArray, normalizing_px: float, sampler: ViewSampler
+) -> tuple[ImageArray, ImageArray, ImageArray]:
+    """Return values and slopes of a view, less its own gain and offset, and where it shows the surface, (H, W)."""
+    value, slope, inside = sampler.sample(height)
+    weight: ImageArray = inside * surface
+    coverage = np.maximum(gaussian_window(weight, normalizing_px), 1e-3)
+    mean = gaussian_window(value * weight, normalizing_px) / coverage
+    centred = np.asarray((value - mean) * weight, np.float32)
+    # What the mean takes from the values it takes from their slope as well.
+    slope -= gaussian_window(slope * weight, normalizing_px) / coverage
+    deviation = np.sqrt(np.maximum(gaussian_window(centred * centred, normalizing_px) / coverage, 1e-6))
+    values, slopes = np.asarray(centred / deviation, np.float32), np.asarray(slope * weight / deviation, np.float32)
+    return values, slopes, weight
+
+
+def _agreeing(
+    sum_of_all: ImageArray,
+    total: ImageArray,
+    surface: ImageArray,
+    sigma_px: float,
+    values: ImageArray,
+    weight: ImageArray,
+) -> ImageArray:
+    """Return a view's weight, lowered where it does not correlate with the others: occluded, charged, moved."""
+    others = (sum_of_all - values * weight) / np.maximum(total - weight, 1e-3)
+    power = np.maximum(gaussian_window(others * others * surface, sigma_px), _LEAST_POWER)
+    own = np.maximum(gaussian_window(values * values * surface, sigma_px), _LEAST_POWER)
+    correlation = gaussian_window(values * others * surface, sigma_px) / np.sqrt(power * own)
+    agreement = np.clip((correlation - _LEAST_CORRELATION) / (_FULL_CORRELATION - _LEAST_CORRELATION), 0, 1)
+    return np.asarray(weight * agreement, np.float32)

@@ -12,6 +12,7 @@ blur and jitter make neighbours err alike. What drift shifts far and wide counts
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -30,6 +31,7 @@ from semscape.dense.posterior import (
     smoothness_by_evidence,
 )
 from semscape.dense.sampling import gaussian_window
+from semscape.dense.side_by_side import Mapper
 from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.dense.sweep import Views
 from semscape.types import BoolArray, FloatArray, ImageArray
@@ -90,7 +92,7 @@ class _Noise:
     slow: float
 
 
-def refine_by_evidence(start: FloatArray, views: Views, calm: Views) -> RefinedHeights:
+def refine_by_evidence(start: FloatArray, views: Views, calm: Views, *, mapper: Mapper = map) -> RefinedHeights:
     """Return the most probable heights near the given ones, in px, with their 1-sigma uncertainty.
 
     Parameters
@@ -101,6 +103,8 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views) -> RefinedH
     views : Views
     calm : Views
         The same, smoothed more against noise: of these is asked whether they agree.
+    mapper : callable
+        `map`, or one that runs parts side by side; the result does not depend on it.
 
     References
     ----------
@@ -121,8 +125,8 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views) -> RefinedH
     beside = _beside_jumps(np.where(known, height, np.nan), JUMP_PX / base)
     for _ in range(_ROUNDS):
         width = np.clip(averaging_width(stiffness, known, prior, table), _WIDTHS_PX[0], _WIDTHS_PX[-1])
-        seen = compare_views(height, known, views.samplers, views.parallax, _NORMALIZING_PX)
-        noise = _noise(seen, known, views.parallax)
+        seen = compare_views(height, known, views.samplers, views.parallax, _NORMALIZING_PX, mapper=mapper)
+        noise = _noise(seen, known, views.parallax, mapper)
         divisor = noise.variance * np.exp(np.interp(np.log(width), np.log(_WIDTHS_PX), np.log(noise.inflation)))
         sharpness = known * seen.slope**2 * seen.leverage
         pull = -1.0 * known * sum(seen.pull(i) for i in range(len(views.samplers)))
@@ -131,7 +135,8 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views) -> RefinedH
         moved = most_probable(height, data, cut, prior)
         height = np.clip(moved, height - _MAX_STEP_PX / base, height + _MAX_STEP_PX / base)
         prior = smoothness_by_evidence(height, stiffness, cut, prior, table)
-    agreeing = compare_views(height, known, calm.samplers, calm.parallax, _AGREEMENT_PX).weights > _ALL_AGREE
+    agreed = compare_views(height, known, calm.samplers, calm.parallax, _AGREEMENT_PX, mapper=mapper).weights
+    agreeing = agreed > _ALL_AGREE
     share = _slow_share(agreeing, views.parallax)
     variance = height_variance(stiffness, known, prior, table) + noise.slow * share
     # What the smoothness takes from a crease its variance, that of the neighbourhood, does not tell: about as much as
@@ -172,7 +177,7 @@ def _spans(height: FloatArray, limit: float) -> BoolArray:
     return spans
 
 
-def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray) -> _Noise:
+def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray, mapper: Mapper) -> _Noise:
     count = len(seen.values)
     residual = seen.weights * (seen.values - seen.template)
     # Shading that changes as the specimen tilts looks like a height, so noise is taken in that direction; a pixel
@@ -195,15 +200,14 @@ def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray) -> _Nois
     power = np.asarray(seen.slope**2, np.float32)
     shifts = [np.asarray(seen.slope * view, np.float32) for view in residual]
     alone = np.asarray(alone * power, np.float32)
+    scatters = list(mapper(partial(_scatter, shifts, unexplained, used), _WIDTHS_PX))
     inflation = []
-    for width in _WIDTHS_PX:
-        scattered = np.stack([gaussian_window(shift, width)[sample][used] for shift in shifts])
-        scatter = ((unexplained @ scattered) ** 2).sum(axis=0) / freedom
+    for width, scatter in zip(_WIDTHS_PX, scatters, strict=True):
         independent = gaussian_window(alone, width / np.sqrt(2.0))[sample][used] / (4 * np.pi * width**2)
         inflation.append(max(float(np.median(scatter / np.maximum(independent, 1e-12)) / median), 1.0))
     texture = np.maximum(gaussian_window(power, _WIDTHS_PX[-1])[sample][used], 1e-9)
     leverage = float(((parallax - parallax.mean()) ** 2).sum())
-    slow = float(np.median(scatter / texture**2) / median) / leverage
+    slow = float(np.median(scatters[-1] / texture**2) / median) / leverage
     # A shift that all pixels of a window share grows with the window's area beside independent noise. No smoothing
     # lowers it, so it must not ask for any.
     narrow, wide = _WIDTHS_PX[1] ** 2, _WIDTHS_PX[-1] ** 2
@@ -219,6 +223,13 @@ def _slow_share(agreeing: BoolArray, parallax: FloatArray) -> FloatArray:
     leverage = (agreeing * (g - mean) ** 2).sum(axis=0)
     of_all = float(((parallax - parallax.mean()) ** 2).sum())
     return np.asarray(of_all / np.maximum(leverage, of_all / _MOST_SHARE), np.float64)
+
+
+def _scatter(shifts: list[ImageArray], unexplained: FloatArray, used: BoolArray, width_px: float) -> FloatArray:
+    """Return how far shifts, each the mean over a window, scatter beside what heights and texture explain."""
+    sample = np.ix_(*(np.arange(1, size, _SAMPLED_PX) for size in shifts[0].shape))
+    scattered = np.stack([gaussian_window(shift, width_px)[sample][used] for shift in shifts])
+    return np.asarray(((unexplained @ scattered) ** 2).sum(axis=0) / (len(shifts) - 2), np.float64)
 
 
 def _wanted_shift(pull: FloatArray, sharpness: NDArray[np.floating]) -> FloatArray:

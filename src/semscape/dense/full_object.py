@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from semscape.dense.groups import PlacedMap, ViewGroup, group_views, view_group
 from semscape.dense.merge import MergedSurface, merge_maps
 from semscape.dense.register import register_maps
+from semscape.dense.side_by_side import Mapper
 from semscape.dense.tiles import surface_in_tiles
 from semscape.errors import DegenerateGeometryError
 from semscape.options import DenseOptions
 from semscape.sfm.full_object import FullObjectMotion
 from semscape.types import TiltSeries
-
-Mapper = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
 
 
 @dataclass(frozen=True, eq=False)

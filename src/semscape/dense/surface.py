@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -15,14 +14,13 @@ from semscape.dense.fuse import fuse, to_zero_tilt
 from semscape.dense.given import JUMP_PX
 from semscape.dense.rectify import Frame, grid_pixel_size_um, rectified_frame, warp_to_frame
 from semscape.dense.sampling import ViewSampler, common_parallax, grid_in_view
+from semscape.dense.side_by_side import Mapper
 from semscape.dense.stereo import RectifiedView, pair_heights
 from semscape.dense.sweep import Views, sharpen_jumps
 from semscape.errors import DegenerateGeometryError
 from semscape.geometry.cameras import camera_matrices
 from semscape.options import DenseOptions
 from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, TiltSeries
-
-Mapper = Callable[[Callable[..., FloatArray], Iterable[tuple[int, int]]], Iterable[FloatArray]]
 
 _LEAST_BASELINE = 0.01
 _WIDEST_TILT_RAD = np.deg2rad(30.0)
@@ -61,7 +59,7 @@ def dense_surface(
         Of the same views.
     options : DenseOptions
     mapper : callable
-        `map`, or one that runs pairs side by side; the result does not depend on it.
+        `map`, or one that runs parts side by side; the result does not depend on it.
 
     Raises
     ------
@@ -81,7 +79,7 @@ def dense_surface(
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
     del views, heights  # the refinement needs the memory
-    height_map, shared_um2, times = _refined_map(series, reconstruction, frame, fused)
+    height_map, shared_um2, times = _refined_map(series, reconstruction, frame, fused, mapper)
     return DenseSurface(height_map, tuple(pairs), shared_um2, times)
 
 
@@ -125,7 +123,7 @@ def height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float
 
 
 def _refined_map(
-    series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray
+    series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray, mapper: Mapper
 ) -> tuple[HeightMap, float, ImageArray]:
     pixel_size = grid_pixel_size_um(series, reconstruction)
     rows, columns = series.shape
@@ -148,7 +146,8 @@ def _refined_map(
         return Views(samplers, parallax, reconstruction.reference)
 
     looked = views(_PRESMOOTH_PX)
-    refined = refine_by_evidence(sharpen_jumps(start_px, looked), looked, views(_AGREEMENT_PRESMOOTH_PX))
+    sharp_px = sharpen_jumps(start_px, looked, mapper=mapper)
+    refined = refine_by_evidence(sharp_px, looked, views(_AGREEMENT_PRESMOOTH_PX), mapper=mapper)
     height_map = HeightMap(
         height_um=refined.height * pixel_size,
         uncertainty_um=refined.uncertainty * pixel_size,

@@ -11,6 +11,9 @@ one, by more than chance, it replaces that.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,6 +24,7 @@ from semscape.dense.given import JUMP_PX, median_of, smoothed, without_spikes
 from semscape.dense.posterior import LatticeTable
 from semscape.dense.sampling import ViewSampler, gaussian_window
 from semscape.dense.semi_global import least_cost
+from semscape.dense.side_by_side import Mapper
 from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.dense.sweep_cost import LARGEST_DIFFERENCE, fill_costs, window_taps
 from semscape.types import BoolArray, FloatArray, ImageArray
@@ -46,6 +50,8 @@ _AGREED = 1.0
 _AGREEMENT_PX = 2.5
 # Smaller patches that stand alone in a sweep are chance agreements of noise.
 _SPECKLE_AREA_PX = 60
+# Rows whose costs are computed at a time.
+_BAND_PX = 64
 
 
 @dataclass(frozen=True)
@@ -86,7 +92,7 @@ class _Brightness:
     noise: float
 
 
-def sharpen_jumps(start: FloatArray, views: Views) -> FloatArray:
+def sharpen_jumps(start: FloatArray, views: Views, *, mapper: Mapper = map) -> FloatArray:
     """Replace the heights that a depth jump has smeared, and add those that the views agree on.
 
     Only jumps, unknown places and their surroundings are swept.
@@ -96,6 +102,8 @@ def sharpen_jumps(start: FloatArray, views: Views) -> FloatArray:
     start : (H, W) float array
         Heights of the pairs, in px, NaN where unknown; kept where nothing agrees better.
     views : Views
+    mapper : callable
+        `map`, or one that runs parts side by side; the result does not depend on it.
     """
     wanted = _near_jumps(start, views.baseline)
     if not np.isfinite(start).any() or not wanted.any():
@@ -104,14 +112,14 @@ def sharpen_jumps(start: FloatArray, views: Views) -> FloatArray:
     coarse = _labels(filled, _COARSE_STEP_PX, views.baseline)
     level = np.zeros(start.shape, np.int32)
     # At first brightness is compared over the whole field: beside a smeared jump the wrong places lie in any window.
-    found = _sweep(coarse, wanted, level, views, _brightness(filled, views, None))
+    found = _sweep(coarse, wanted, level, views, _brightness(filled, views, None), mapper)
     surface = median_of(filled_from_nearest(np.where(wanted, found, start)))
-    found = _sweep(coarse, wanted, level, views, _brightness(surface, views, _GAIN_WINDOW_PX))
+    found = _sweep(coarse, wanted, level, views, _brightness(surface, views, _GAIN_WINDOW_PX), mapper)
     surface = _without_stairs(np.where(wanted, found, start), views.baseline)
     fine = _labels(filled, _FINE_STEP_PX, views.baseline)
     slopes = np.rint(surface / fine.step).astype(np.int32)
-    found = _sweep(fine, wanted, slopes, views, _brightness(surface, views, _GAIN_WINDOW_PX))
-    return _better(start, found, views)
+    found = _sweep(fine, wanted, slopes, views, _brightness(surface, views, _GAIN_WINDOW_PX), mapper)
+    return _better(start, found, views, mapper)
 
 
 def _without_stairs(height: FloatArray, baseline: float) -> FloatArray:
@@ -146,7 +154,12 @@ def _labels(height: FloatArray, step_px: float, baseline: float) -> _Labels:
 
 
 def _sweep(
-    labels: _Labels, wanted: BoolArray, slopes: NDArray[np.int32], views: Views, brightness: _Brightness
+    labels: _Labels,
+    wanted: BoolArray,
+    slopes: NDArray[np.int32],
+    views: Views,
+    brightness: _Brightness,
+    mapper: Mapper,
 ) -> FloatArray:
     """Return the heights (H, W) of least cost, NaN where none is wanted or the least lies at the end of the range."""
     first, step = labels.first, labels.step
@@ -161,9 +174,7 @@ def _sweep(
     )
     side = np.where(views.parallax[views.others] < views.parallax[views.reference], -1, 1)
     around = cv2.dilate(wanted.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    cost = np.zeros((*first.shape, labels.count), np.uint8)
-    fill_costs(
-        cost,
+    given = (
         first,
         step,
         wanted,
@@ -175,10 +186,19 @@ def _sweep(
         side,
         window_taps(_WINDOW_PX),
     )
+    edges = [*range(0, len(first), _BAND_PX), len(first)]
+    cost = np.concatenate(list(mapper(partial(_band, labels.count, given), pairwise(edges))))
     here = np.asarray((first + labels.count // 2) * step, np.float64)
     guide = views.samplers[views.reference].look(here)[0] * unit
     label = least_cost(cost, first, wanted, slopes, guide, _PENALTY_SMALL, _PENALTY_LARGE)
     return without_speckles(label * labels.step_px, _SPECKLE_AREA_PX) / labels.step_px * step
+
+
+def _band(count: int, given: tuple[Any, ...], rows: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return the costs of some rows, (last - first, W, count)."""
+    cost = np.zeros((rows[1] - rows[0], given[0].shape[1], count), np.uint8)
+    fill_costs(rows, cost, *given)
+    return cost
 
 
 def _brightness(height: FloatArray, views: Views, window_px: float | None) -> _Brightness:
@@ -232,15 +252,9 @@ def _differences(
     return found
 
 
-def _better(refined: FloatArray, swept: FloatArray, views: Views) -> FloatArray:
+def _better(refined: FloatArray, swept: FloatArray, views: Views, mapper: Mapper) -> FloatArray:
     """Take the swept height where the better half of the views agree on it more than on the refined one."""
-    misfits, noises = [], []
-    for height in (refined, swept):
-        filled = filled_from_nearest(height)
-        brightness = _brightness(filled, views, _GAIN_WINDOW_PX)
-        ranked = np.sort(list(_differences(filled, views, brightness, _SELECTION_WINDOW_PX).values()), axis=0)
-        misfits.append(ranked[: (len(ranked) + 1) // 2].mean(axis=0) * brightness.noise)
-        noises.append(brightness.noise)
+    misfits, noises = zip(*mapper(partial(_misfit, views), (refined, swept)), strict=True)
     noise = min(noises)
     least_gain = _LEAST_GAIN / np.sqrt((len(views.others) + 1) // 2)
     known, found = np.isfinite(refined), np.isfinite(swept)
@@ -250,6 +264,15 @@ def _better(refined: FloatArray, swept: FloatArray, views: Views) -> FloatArray:
     replaced |= ~known & found & (misfits[1] < _AGREED * noise)
     sharp = np.where(replaced, swept, refined)
     # Where nothing has texture the views differ by noise alone whatever the height: they must correlate, too.
-    seen = compare_views(filled_from_nearest(sharp), np.isfinite(sharp), views.samplers, views.parallax, _AGREEMENT_PX)
+    filled, given = filled_from_nearest(sharp), np.isfinite(sharp)
+    seen = compare_views(filled, given, views.samplers, views.parallax, _AGREEMENT_PX, mapper=mapper)
     replaced &= (seen.weights > 0.5).sum(axis=0) >= 2
     return np.where(replaced, swept, refined)
+
+
+def _misfit(views: Views, height: FloatArray) -> tuple[FloatArray, float]:
+    """Return how far the better half of the views differs from the reference (H, W), and the noise in that."""
+    filled = filled_from_nearest(height)
+    brightness = _brightness(filled, views, _GAIN_WINDOW_PX)
+    ranked = np.sort(list(_differences(filled, views, brightness, _SELECTION_WINDOW_PX).values()), axis=0)
+    return ranked[: (len(ranked) + 1) // 2].mean(axis=0) * brightness.noise, brightness.noise

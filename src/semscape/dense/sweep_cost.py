@@ -35,6 +35,7 @@ def window_taps(sigma_px: float) -> NDArray[np.float32]:
 
 @njit(cache=True, nogil=True)
 def fill_costs(
+    rows: tuple[int, int],
     cost: NDArray[np.uint8],
     first: NDArray[np.int32],
     step: float,
@@ -47,11 +48,13 @@ def fill_costs(
     side: NDArray[np.int64],
     taps: NDArray[np.float32],
 ) -> None:
-    """Fill the cost (H, W, n) of the heights (first + k) step wherever `wanted`.
+    """Fill the cost of the heights (first + k) step in some rows of (H, W) wherever `wanted`.
 
     Parameters
     ----------
-    cost : (H, W, n) uint8 array
+    rows : (int, int)
+        The first row, and the one after the last.
+    cost : (last - first, W, n) uint8 array
         Filled in place.
     first : (H, W) int32 array
     step : float
@@ -67,7 +70,9 @@ def fill_costs(
         -1 or 1: on which side of the reference view a view looks from.
     taps : (5,) float32 array
     """
-    height, width, n = cost.shape
+    height, width = first.shape
+    n = cost.shape[2]
+    top, bottom = rows
     others = len(images) - 1
     # On both sides, or on one alone: then there is no choice.
     share = np.array([1 / others, 0.0, 0.0], np.float32)
@@ -88,7 +93,7 @@ def fill_costs(
     agreed = np.empty((_TOGETHER, width), np.uint8)
     for k0 in range(0, n, _TOGETHER):
         together = min(_TOGETHER, n - k0)
-        for row in range(height + _TAPS):
+        for row in range(max(top - _TAPS, 0), min(bottom, height) + _TAPS):
             count = 0
             for col in range(width if row < height else 0):
                 if around[row, col]:
@@ -108,7 +113,7 @@ def fill_costs(
                     _look(views[i], size, x[i, :count], y[i], lowest, up, shift[i], value)
                     _difference(value, brighter[i], own, at[:count], ring[k, row % _ROWS, i])
             done = row - _TAPS
-            if not _TAPS <= done < height - _TAPS:
+            if not max(top, _TAPS) <= done < height - _TAPS:
                 continue
             left, right = width, 0
             for col in range(_TAPS, width - _TAPS):
@@ -120,13 +125,13 @@ def fill_costs(
             for k in range(together):
                 means[:] = 0
                 for i in range(others):
-                    rows = ring[k]
+                    lately = ring[k]
                     _down(
-                        rows[(done - 2) % _ROWS, i, wide],
-                        rows[(done - 1) % _ROWS, i, wide],
-                        rows[done % _ROWS, i, wide],
-                        rows[(done + 1) % _ROWS, i, wide],
-                        rows[(done + 2) % _ROWS, i, wide],
+                        lately[(done - 2) % _ROWS, i, wide],
+                        lately[(done - 1) % _ROWS, i, wide],
+                        lately[done % _ROWS, i, wide],
+                        lately[(done + 1) % _ROWS, i, wide],
+                        lately[(done + 2) % _ROWS, i, wide],
                         taps,
                         below,
                     )
@@ -135,7 +140,7 @@ def fill_costs(
             for col in range(left, right):
                 if wanted[done, col]:
                     for k in range(together):
-                        cost[done, col, k0 + k] = agreed[k, col]
+                        cost[done - top, col, k0 + k] = agreed[k, col]
 
 
 # The loops below stand in functions of their own: only so the compiler turns them into vectors.

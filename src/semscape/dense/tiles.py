@@ -6,7 +6,7 @@ the images and the options alone: nothing depends on how many are computed side 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise, product
@@ -20,6 +20,7 @@ from semscape.dense.parallel import as_parallel
 from semscape.dense.reasons import unknown_reasons
 from semscape.dense.rectify import PHASE_PX, grid_pixel_size_um
 from semscape.dense.sampling import common_parallax
+from semscape.dense.side_by_side import Mapper
 from semscape.dense.specimen import with_specimen
 from semscape.dense.surface import DenseSurface, choose_pairs, dense_surface
 from semscape.geometry.cameras import camera_matrices
@@ -30,7 +31,6 @@ from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, Ti
 # half of the step between the places where tiles may begin.
 _OVERLAP_PX = 88
 
-Mapper = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
 # Height, uncertainty, number of views, texture, lateral period, and how many times the shared variance each holds.
 _Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, ImageArray, ImageArray]
 # With the part of all variances, um^2, that the tile's heights share.
