@@ -268,7 +268,8 @@ def surface_errors(
             round(float(within[bin_of == i].mean()), 3) for i in range(_BINS) if (bin_of == i).any()
         ]
         views = height_map.n_views[known]
+        counts = zip(*np.unique(views, return_counts=True), strict=True)
         figures["within_1_sigma_by_views"] = {
-            str(n): round(float(within[views == n].mean()), 3) for n in np.unique(views) if (views == n).sum() >= _FEW_PX
+            str(n): round(float(within[views == n].mean()), 3) for n, count in counts if count >= _FEW_PX
         }
     return figures
