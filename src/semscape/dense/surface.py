@@ -24,10 +24,9 @@ from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, Ti
 
 _LEAST_BASELINE = 0.01
 _WIDEST_TILT_RAD = np.deg2rad(30.0)
+# On either side of the sparse heights; of their range or, if that is larger, of the field, for smooth things that stand
+# free hold no sparse point under wide tilts. Wider ones find more false heights where texture is weak.
 _RANGE_MARGIN = 0.15
-# Smooth things that stand free, under wide tilts above all, hold no sparse point: they may be as high as this share of
-# the field is wide. On the coarsest images, where the whole range is searched, it costs nothing.
-_LEAST_MARGIN = 0.25
 _PRESMOOTH_PX = 0.5
 # Whether views agree is asked of images with less noise.
 _AGREEMENT_PRESMOOTH_PX = 0.7
@@ -118,7 +117,7 @@ def _pair_at_zero_tilt(
 def height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float, float]:
     """Return the range of the sparse heights, without their last outliers, widened by a margin on each side."""
     low, high = np.percentile(reconstruction.points_um[:, 2], [0.2, 99.8]) / frame.pixel_size_um
-    margin = max(_RANGE_MARGIN * (high - low), _LEAST_MARGIN * min(frame.shape))
+    margin = _RANGE_MARGIN * max(high - low, min(frame.shape))
     return float(low - margin), float(high + margin)
 
 
