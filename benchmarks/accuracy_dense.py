@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _BINS = 5
 _TRIM = 0.95
 _WRONG_PX = 1.0
+_FEW_PX = 200
 
 
 def measure_surface(specimen: str, seed: int) -> dict[str, Any]:
@@ -266,4 +267,9 @@ def surface_errors(
         figures["within_1_sigma_by_bin"] = [
             round(float(within[bin_of == i].mean()), 3) for i in range(_BINS) if (bin_of == i).any()
         ]
+        views = height_map.n_views[known]
+        counts = zip(*np.unique(views, return_counts=True), strict=True)
+        figures["within_1_sigma_by_views"] = {
+            str(n): round(float(within[views == n].mean()), 3) for n, count in counts if count >= _FEW_PX
+        }
     return figures

@@ -39,6 +39,8 @@ KIND_OF = {int: "a whole number", float: "a number", str: "a word", bool: "true 
 """How messages name the kinds of values that options have."""
 
 _POSITIVE = _Range(0, above=True)
+# Less than its overlap a tile is not worth.
+_SMALLEST_TILE_PX = 64
 # Those of [input] are checked by `semscape.io.acquisition`, whose messages name the images and files.
 _RANGES = {
     "features.contrast_threshold": _POSITIVE,
@@ -62,8 +64,9 @@ _RANGES = {
     "sfm.scan_drift_degree": _Range(0, 12),
     "dense.max_pairs": _Range(1),
     "dense.census_radius_px": _Range(1, 3),
-    "dense.penalty_small": _POSITIVE,
-    "dense.penalty_large": _POSITIVE,
+    # Eight paths of at most 48 bits and a jump are summed in 16 bits.
+    "dense.penalty_small": _Range(0, 8000, above=True),
+    "dense.penalty_large": _Range(0, 8000, above=True),
     "dense.left_right_limit_px": _POSITIVE,
     "dense.mesh_max_vertices": _Range(4),
     "dense.tile_px": _Range(0),
@@ -210,6 +213,8 @@ class DenseOptions(_Stage):
                 f"option dense.penalty_small is {self.penalty_small:g}, must be <= dense.penalty_large, "
                 f"{self.penalty_large:g}"
             )
+        if 0 < self.tile_px < _SMALLEST_TILE_PX:
+            raise BadInputError(f"option dense.tile_px is {self.tile_px}, must be 0 or >= {_SMALLEST_TILE_PX}")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from semscape.cluster import Mapper, local_mapper
 from semscape.dense.decimate import finished_mesh
 from semscape.dense.full_object import FullObject, full_object_surface
 from semscape.dense.tiles import surface_in_tiles
-from semscape.errors import NoAnswerError, SemscapeError, TooFewMatchesError
+from semscape.errors import SemscapeError, TooFewMatchesError
 from semscape.features.detect import detect
 from semscape.features.significance import keep_significant
 from semscape.options import FeaturesOptions, Options, RunOptions
@@ -150,11 +150,6 @@ def reconstruct(
         with stages("mesh") as figures:
             mesh, told = finished_mesh(surface.height_map, options.dense.mesh_max_vertices, options.mesh)
             figures |= told
-            if not len(mesh.faces):
-                raise NoAnswerError(
-                    f"the views agree on the height of no part of the field ({figures['n_vertices']} single pixels are "
-                    "known): check that the tilts and pixel sizes are those of these images"
-                )
 
     report = build_report(
         series,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from semscape.dense.decimate import decimate, finished_mesh
 from semscape.dense.mesh import height_map_mesh
+from semscape.errors import BadInputError, NoAnswerError
 from semscape.options import MeshOptions
 from semscape.types import HeightMap
 
@@ -79,3 +82,15 @@ def test_the_micrograph_lies_where_it_was_seen() -> None:
     small, _ = finished_mesh(height_map, 10**6, MeshOptions(texture_px=30))
     assert small.picture is not None
     assert small.picture.shape == (30, 30)
+
+
+def test_a_mesh_without_triangles_says_whether_the_heights_or_the_thinning_lack_them() -> None:
+    height_map = wavy()
+    border = height_map.height_um.copy()
+    border[[0, -1]] = border[:, [0, -1]] = np.nan  # as at the border of any field
+    with pytest.raises(BadInputError, match=r"mesh_max_vertices = 4 leaves no triangle of 7,684 known heights"):
+        finished_mesh(replace(height_map, height_um=border), 4, MeshOptions())
+    single = np.full_like(border, np.nan)
+    single[20, 20] = single[60, 60] = 0.0
+    with pytest.raises(NoAnswerError, match=r"no part of the field \(2 single pixels are known\)"):
+        finished_mesh(replace(height_map, height_um=single), 10**6, MeshOptions())

@@ -120,6 +120,32 @@ def test_sigma_holds_on_the_ridge_of_a_roof() -> None:
     assert 0.5 < np.mean(np.abs(found.height - true)[ridge] < found.uncertainty[ridge]) < 0.9
 
 
+def test_drift_makes_more_of_heights_that_fewer_views_see() -> None:
+    """Each view is shifted as a whole. Two neighbours of five hold a twentieth of the baseline's square."""
+    views = look_at(np.zeros(SHAPE[1]), noise=1.0)
+    for sampler, shift in zip(views.samplers, (0.3, -0.45, 0.1, 0.35, -0.3), strict=True):
+        sampler.x0 = sampler.x0 + np.float32(shift)
+    for view in (0, 1, 4):
+        views.samplers[view].mask[:, 75:] = 0
+    found = refine_by_evidence(np.zeros(SHAPE), views, views)
+    all_see, few_see = np.s_[15:-15, 20:55], np.s_[15:-15, 90:-20]
+    assert np.median(found.n_views[all_see]) == 5
+    assert np.median(found.n_views[few_see]) == 2
+    assert np.median(found.slow_share[few_see]) == pytest.approx(20)
+    ratio = np.nanmedian(found.uncertainty[few_see]) / np.nanmedian(found.uncertainty[all_see])
+    assert 3 < ratio < 6
+
+
+def test_what_is_black_in_all_views_has_no_height() -> None:
+    """All views are equal there, whatever the height; the rim of what is beside it must not speak for it."""
+    views = look_at(np.zeros(SHAPE[1]), noise=1.0)
+    for sampler in views.samplers:
+        sampler.image[:, 80:] = sampler.along[:, 80:] = 0
+    found = refine_by_evidence(np.zeros(SHAPE), views, views)
+    assert np.isfinite(found.height[15:-15, 20:75]).mean() > 0.95
+    assert np.isnan(found.height[:, 102:]).all()
+
+
 def test_an_unknown_map_stays_unknown() -> None:
     unknown = np.full(SHAPE, np.nan)
     nothing = look_at(np.zeros(SHAPE[1]))

@@ -98,6 +98,21 @@ def test_ground_between_two_walls_is_occluded_as_far_as_the_beams_say() -> None:
     assert (told[:, 4:8] == Reason.INCONSISTENT).all()
 
 
+def test_ground_clipped_to_black_is_without_texture_up_to_its_rim() -> None:
+    """Most of the image has no noise then; it must not make texture of the blurred rim of what is beside it."""
+    height = np.zeros((SIDE, SIDE))
+    height[70:90, 50:110] = np.nan
+    series, reconstruction, height_map = scene(height)
+    views = list(series.views)
+    for k, view in enumerate(views):
+        noise = np.random.default_rng(k).standard_normal(view.image.shape)
+        image = 40 + 0.1 * (view.image - 128) + 8 * noise
+        image[:, 30:130] = 0
+        views[k] = replace(view, image=image.astype(np.float32))
+    told = unknown_reasons(TiltSeries(tuple(views)), reconstruction, height_map)
+    assert (told[70:90, 50:110] == Reason.NO_TEXTURE).mean() > 0.95
+
+
 def test_what_lies_beyond_the_field_is_outside() -> None:
     height = np.zeros((SIDE, SIDE))
     height[:, :6] = np.nan

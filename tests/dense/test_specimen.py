@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -60,10 +62,13 @@ def test_where_nothing_stands_the_whole_field_is_specimen(height: NDArray[np.flo
 
 def test_keeping_the_specimen_leaves_the_stub_unknown_with_its_reason() -> None:
     given = found(dome() + noise(0.7))
+    given = replace(given, lateral_period_um=np.full(given.height_um.shape, 12.0, np.float32))
     kept, every = with_specimen(given, "specimen"), with_specimen(given, "all")
     off = ~kept.specimen
     assert np.isnan(kept.height_um[off]).all()
     assert np.isnan(kept.uncertainty_um[off]).all()
+    assert np.isnan(kept.texture[off]).all()
+    assert np.array_equal(np.isnan(kept.lateral_period_um), off)
     assert (kept.reason[off] == Reason.BACKGROUND).all()
     assert not kept.n_views[off].any()
     assert np.array_equal(kept.height_um[~off], given.height_um[~off])

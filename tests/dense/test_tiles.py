@@ -87,15 +87,20 @@ def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPa
         if shared == 1:  # a tile that knows half as much counts half
             height[::2] = uncertainty[::2] = np.nan
         number = np.full(shape, 3, np.uint8)
-        planes = height, uncertainty, number, np.zeros(shape, np.float32), 0 * number, np.ones(shape, np.float32)
-        return planes, shared
+        period = times = np.ones(shape, np.float32)
+        if shared == 4:  # few views hold three times as much of it
+            times = 3 * times
+            uncertainty = np.sqrt(own_um2 + shared * times)
+        return (height, uncertainty, number, np.zeros(shape, np.float32), period, times), shared
 
     monkeypatch.setattr("semscape.dense.tiles._core", core)
     surface = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160))
     pooled_um2 = (0.5 * 1 + 4 + 3) / 3.5
     assert surface.shared_variance_um2 == pytest.approx(pooled_um2)
     stated = surface.height_map.uncertainty_um
-    assert stated[np.isfinite(stated)] == pytest.approx(np.sqrt(own_um2 + pooled_um2))
+    times = surface.shared_times
+    assert np.unique(times).tolist() == [1.0, 3.0]
+    assert stated[np.isfinite(stated)] == pytest.approx(np.sqrt(own_um2 + pooled_um2 * times)[np.isfinite(stated)])
 
 
 def by_bytes(function: Any, *items: Any) -> Any:
@@ -124,3 +129,22 @@ def test_every_unknown_pixel_has_a_reason_and_no_known_one() -> None:
         assert np.array_equal(height_map.reason == Reason.KNOWN, known)
         assert not (height_map.reason == Reason.NOT_TOLD).any()
         assert (height_map.reason[-8:] == Reason.MASKED).mean() > 0.9  # the data bar
+
+
+def test_reasons_are_those_of_the_whole_field() -> None:
+    """A tile's crop ends where the images do not, and its own brightest place need not be white."""
+    whole, tiled = found(0).reason, found(160).reason
+    for reason in (Reason.OUTSIDE, Reason.MASKED):
+        assert (whole == reason).sum() > 300
+        assert np.mean(tiled[(whole == reason) & (tiled > 0)] == reason) > 0.99
+
+
+def test_what_stands_above_all_sparse_points_is_found() -> None:
+    """Spheres without keypoints of their own, as under wide tilts: the ground's points alone tell no range."""
+    series, reconstruction = calibrated()
+    height = reconstruction.points_um[:, 2]
+    ground = reconstruction.points_um[height < np.quantile(height, 0.3)]
+    apart = surface_in_tiles(series, replace(reconstruction, points_um=ground), DenseOptions(tile_px=0)).height_map
+    whole = found(0)
+    highest = whole.height_um > np.nanquantile(whole.height_um, 0.97)
+    assert np.mean(disparities_apart(whole, apart)[highest] < 0.5) > 0.97

@@ -15,6 +15,8 @@ from semscape.types import BoolArray, FloatArray, ImageArray
 
 _LEAST_CORRELATION = 0.3
 _FULL_CORRELATION = 0.7
+# Values are normalized: a window that holds less than this of their power is empty but for the rim of some texture.
+_LEAST_POWER = 0.05
 
 Stack = NDArray[np.float32]
 
@@ -100,8 +102,8 @@ def _agreeing(
 ) -> ImageArray:
     """Return a view's weight, lowered where it does not correlate with the others: occluded, charged, moved."""
     others = (sum_of_all - values * weight) / np.maximum(total - weight, 1e-3)
-    power = np.maximum(gaussian_window(others * others * surface, sigma_px), 1e-6)
-    own = np.maximum(gaussian_window(values * values * surface, sigma_px), 1e-6)
+    power = np.maximum(gaussian_window(others * others * surface, sigma_px), _LEAST_POWER)
+    own = np.maximum(gaussian_window(values * values * surface, sigma_px), _LEAST_POWER)
     correlation = gaussian_window(values * others * surface, sigma_px) / np.sqrt(power * own)
     agreement = np.clip((correlation - _LEAST_CORRELATION) / (_FULL_CORRELATION - _LEAST_CORRELATION), 0, 1)
     return np.asarray(weight * agreement, np.float32)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semscape.dense.mesh import height_map_mesh, with_picture
+from semscape.errors import BadInputError, NoAnswerError
 from semscape.geometry.triangle_tree import TriangleTree, closest_on_triangles, make_tree
 from semscape.options import MeshOptions
 from semscape.types import FloatArray, HeightMap, IntArray, SurfaceMesh
@@ -35,6 +36,13 @@ def finished_mesh(
 
     Without a wish for fewer triangles every n-th row and column make at most `max_vertices`. With one, the whole grid
     (thinned to two million vertices) is the mesh that the distances are told to.
+
+    Raises
+    ------
+    NoAnswerError
+        Where no three neighbours are known.
+    BadInputError
+        Where none are left of those that `max_vertices` keeps.
     """
     figures: dict[str, float] = {}
     if options.triangles or options.error_um:
@@ -46,6 +54,16 @@ def finished_mesh(
     else:
         mesh = height_map_mesh(height_map, max_vertices=max_vertices)
     figures |= {"n_vertices": len(mesh.vertices_um), "n_faces": len(mesh.faces)}
+    if not len(mesh.faces):
+        n_known = int(np.isfinite(height_map.height_um).sum())
+        if n_known > max_vertices:
+            raise BadInputError(
+                f"dense.mesh_max_vertices = {max_vertices} leaves no triangle of {n_known:,} known heights; raise it"
+            )
+        raise NoAnswerError(
+            f"the views agree on the height of no part of the field ({n_known} single pixels are known): check that "
+            "the tilts and pixel sizes are those of these images"
+        )
     return with_picture(mesh, height_map, options.texture_px), figures
 
 

@@ -55,6 +55,8 @@ _PLACE_PX = 1.5
 _CREASE_PX = 2.0
 # With two views nothing tells how their pulls scatter.
 _PAIR_INFLATION = 4.0
+# Two neighbours of many views err by ten times what all do, or more: then nobody measures by them.
+_MOST_SHARE = 100.0
 # Patches smaller than this, and than this share of the field, that stand alone are chance agreements of noise.
 _ISLAND_AREA_PX = 200
 _ISLAND_SHARE = 3e-4
@@ -64,8 +66,9 @@ _ISLAND_SHARE = 3e-4
 class RefinedHeights:
     """Heights (H, W) with their 1-sigma uncertainty in the same unit, and the number of agreeing views.
 
-    `lateral_period_px` (H, W) is the period of the wave that they hold with half its height, and `slow_variance` the
-    part of every variance that is shared far and wide.
+    `lateral_period_px` (H, W) is the period of the wave that they hold with half its height. `slow_variance` is the
+    part of every variance that is shared far and wide, `slow_share` (H, W) how many times more of it each height holds:
+    1 where all views agree, more where fewer do.
     """
 
     height: FloatArray
@@ -73,6 +76,7 @@ class RefinedHeights:
     n_views: NDArray[np.uint8]
     lateral_period_px: ImageArray
     slow_variance: float
+    slow_share: ImageArray
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,8 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views, *, mapper: 
     start = without_islands(start, views.baseline)
     known = np.isfinite(start)
     if not known.any():
-        return RefinedHeights(start, start, np.zeros(start.shape, np.uint8), start.astype(np.float32), 0.0)
+        nothing = start.astype(np.float32)
+        return RefinedHeights(start, start, np.zeros(start.shape, np.uint8), nothing, 0.0, nothing)
     base = views.baseline
     given = without_spikes(filled_from_nearest(start), JUMP_PX / base)
     known |= _specks(~known) & ~_spans(given, 2 * JUMP_PX / base)
@@ -130,15 +135,17 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views, *, mapper: 
         moved = most_probable(height, data, cut, prior)
         height = np.clip(moved, height - _MAX_STEP_PX / base, height + _MAX_STEP_PX / base)
         prior = smoothness_by_evidence(height, stiffness, cut, prior, table)
-    variance = height_variance(stiffness, known, prior, table) + noise.slow
+    agreed = compare_views(height, known, calm.samplers, calm.parallax, _AGREEMENT_PX, mapper=mapper).weights
+    agreeing = agreed > _ALL_AGREE
+    share = _slow_share(agreeing, views.parallax)
+    variance = height_variance(stiffness, known, prior, table) + noise.slow * share
     # What the smoothness takes from a crease its variance, that of the neighbourhood, does not tell: about as much as
     # it would take from the heights found once more.
     again = most_probable(height, DataTerm(stiffness, np.zeros_like(height)), cut, prior)
     taken = gaussian_window(((height - again) ** 2).astype(np.float32), _CREASE_PX)
     at_jump = np.maximum(variance, (GIVEN_NOISE_PX / base) ** 2) + _wanted_shift(pull, sharpness) ** 2
     variance = np.where(beside, at_jump, variance + taken)
-    agreed = compare_views(height, known, calm.samplers, calm.parallax, _AGREEMENT_PX, mapper=mapper).weights
-    n_views = (agreed > _ALL_AGREE).sum(axis=0)
+    n_views = agreeing.sum(axis=0)
     found = np.isfinite(without_islands(np.where(known & (n_views >= 2), height, np.nan), base))
     return RefinedHeights(
         np.where(found, height, np.nan),
@@ -146,6 +153,7 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views, *, mapper: 
         np.where(found, n_views, 0).astype(np.uint8),
         np.where(found, half_passing_period(averaging_width(stiffness, known, prior, table)), np.float32(np.nan)),
         noise.slow,
+        np.where(found, share, np.nan).astype(np.float32),
     )
 
 
@@ -206,6 +214,15 @@ def _noise(seen: ComparedViews, known: BoolArray, parallax: FloatArray, mapper: 
     shared = max(inflation[-1] - inflation[1], 0.0) / (wide - narrow)
     own = [max(total - shared * width**2, 1.0) for total, width in zip(inflation, _WIDTHS_PX, strict=True)]
     return _Noise(variance.astype(np.float64), own, slow * shared * wide / inflation[-1])
+
+
+def _slow_share(agreeing: BoolArray, parallax: FloatArray) -> FloatArray:
+    """Return how many times more drift makes of a height (H, W) where not all views (V, H, W) agree: their baseline."""
+    g = parallax[:, None, None]
+    mean = (agreeing * g).sum(axis=0) / np.maximum(agreeing.sum(axis=0), 1)
+    leverage = (agreeing * (g - mean) ** 2).sum(axis=0)
+    of_all = float(((parallax - parallax.mean()) ** 2).sum())
+    return np.asarray(of_all / np.maximum(leverage, of_all / _MOST_SHARE), np.float64)
 
 
 def _scatter(shifts: list[ImageArray], unexplained: FloatArray, used: BoolArray, width_px: float) -> FloatArray:

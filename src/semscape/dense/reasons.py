@@ -154,7 +154,9 @@ def _saturated(view: Micrograph) -> BoolArray:
 def _textured(view: Micrograph, px_per_height: FloatArray) -> BoolArray:
     """Return where texture across the tilt axis stands out of the noise."""
     image = view.image
-    filtered = np.abs(cv2.filter2D(image, cv2.CV_32F, _NOISE_FILTER))[view.mask]
+    # What is clipped to black or white has no noise, and would hide that of the rest.
+    counted = view.mask & (image > image.min()) & (image < image.max())
+    filtered = np.abs(cv2.filter2D(image, cv2.CV_32F, _NOISE_FILTER))[counted]
     noise = float(np.median(filtered)) / _MAD_PER_SIGMA / _NOISE_GAIN if filtered.size else 0.0
     length = float(np.hypot(*px_per_height))
     # A view without tilt has no parallax of its own; its texture counts along both axes then.

@@ -55,6 +55,7 @@ def with_specimen(height_map: HeightMap, keep: str) -> HeightMap:
         uncertainty_um=np.where(specimen, height_map.uncertainty_um, np.nan),
         n_views=np.where(specimen, height_map.n_views, np.uint8(0)),
         texture=np.where(specimen, height_map.texture, np.float32(np.nan)),
+        lateral_period_um=np.where(specimen, height_map.lateral_period_um, np.float32(np.nan)),
         reason=np.where(specimen, height_map.reason, np.uint8(Reason.BACKGROUND)),
     )
 

@@ -24,6 +24,8 @@ from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, Ti
 
 _LEAST_BASELINE = 0.01
 _WIDEST_TILT_RAD = np.deg2rad(30.0)
+# On either side of the sparse heights; of their range or, if that is larger, of the field, for smooth things that stand
+# free hold no sparse point under wide tilts. Wider ones find more false heights where texture is weak.
 _RANGE_MARGIN = 0.15
 _PRESMOOTH_PX = 0.5
 # Whether views agree is asked of images with less noise.
@@ -32,11 +34,16 @@ _AGREEMENT_PRESMOOTH_PX = 0.7
 
 @dataclass(frozen=True)
 class DenseSurface:
-    """A height map with the pairs it came from, and the part of its variances, um^2, that all of them share."""
+    """A height map with the pairs it came from, and the part of its variances, um^2, that all of them share.
+
+    `shared_times` (H, W) is how many times that each height holds, NaN where unknown: more than 1 where not all views
+    agree.
+    """
 
     height_map: HeightMap
     pairs: tuple[tuple[int, int], ...]
     shared_variance_um2: float
+    shared_times: ImageArray
 
 
 def dense_surface(
@@ -71,8 +78,8 @@ def dense_surface(
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
     del views, heights  # the refinement needs the memory
-    height_map, shared_um2 = _refined_map(series, reconstruction, frame, fused, mapper)
-    return DenseSurface(height_map, tuple(pairs), shared_um2)
+    height_map, shared_um2, times = _refined_map(series, reconstruction, frame, fused, mapper)
+    return DenseSurface(height_map, tuple(pairs), shared_um2, times)
 
 
 def choose_pairs(tilt_rad: FloatArray, max_pairs: int) -> list[tuple[int, int]]:
@@ -108,15 +115,15 @@ def _pair_at_zero_tilt(
 
 
 def height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float, float]:
-    """Return the range of the sparse heights, without their last outliers, widened by 15 % on each side."""
+    """Return the range of the sparse heights, without their last outliers, widened by a margin on each side."""
     low, high = np.percentile(reconstruction.points_um[:, 2], [0.2, 99.8]) / frame.pixel_size_um
-    margin = _RANGE_MARGIN * (high - low)
+    margin = _RANGE_MARGIN * max(high - low, min(frame.shape))
     return float(low - margin), float(high + margin)
 
 
 def _refined_map(
     series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray, mapper: Mapper
-) -> tuple[HeightMap, float]:
+) -> tuple[HeightMap, float, ImageArray]:
     pixel_size = grid_pixel_size_um(series, reconstruction)
     rows, columns = series.shape
     world_from_grid = np.diag([pixel_size, -pixel_size, 1.0, 1.0])
@@ -150,7 +157,7 @@ def _refined_map(
         length_unit=series.length_unit,
         lateral_period_um=refined.lateral_period_px * np.float32(pixel_size),
     )
-    return height_map, refined.slow_variance * pixel_size**2
+    return height_map, refined.slow_variance * pixel_size**2, refined.slow_share
 
 
 def resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, shape: tuple[int, int]) -> FloatArray:

@@ -25,14 +25,14 @@ from semscape.dense.specimen import with_specimen
 from semscape.dense.surface import DenseSurface, choose_pairs, dense_surface
 from semscape.geometry.cameras import camera_matrices
 from semscape.options import DenseOptions
-from semscape.types import FloatArray, HeightMap, ImageArray, Reason, Reconstruction, TiltSeries
+from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, TiltSeries
 
 # Beyond a tile's core: the widest window of the refinement reaches 40 px, the paths of matching about as far again; and
 # half of the step between the places where tiles may begin.
 _OVERLAP_PX = 88
 
-# Height, uncertainty, number of views, texture, reason and lateral period.
-_Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, NDArray[np.uint8], ImageArray]
+# Height, uncertainty, number of views, texture, lateral period, and how many times the shared variance each holds.
+_Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, ImageArray, ImageArray]
 # With the part of all variances, um^2, that the tile's heights share.
 _Core = tuple[_Planes, float]
 
@@ -70,41 +70,42 @@ def surface_in_tiles(
     rows, columns = (_edges(size, options.tile_px) for size in series.shape)
     if len(rows) == len(columns) == 2:
         found = dense_surface(series, reconstruction, options, mapper=mapper)
-        reason = unknown_reasons(series, reconstruction, found.height_map)
-        return replace(found, height_map=with_specimen(replace(found.height_map, reason=reason), options.keep))
-    places = [(slice(*r), slice(*c)) for r, c in product(pairwise(rows), pairwise(columns))]
-    tiles = _cut(series, reconstruction, places)
-    height_map, shared_um2 = _stitched(series, reconstruction, places, mapper(partial(_core, options), tiles))
-    pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
-    return DenseSurface(with_specimen(height_map, options.keep), tuple(pairs), shared_um2)
+    else:
+        places = [(slice(*r), slice(*c)) for r, c in product(pairwise(rows), pairwise(columns))]
+        cores = mapper(partial(_core, options), _cut(series, reconstruction, places))
+        height_map, shared_um2, times = _stitched(series, reconstruction, places, cores)
+        pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
+        found = DenseSurface(height_map, tuple(pairs), shared_um2, times)
+    # Of the whole field at once: a tile knows neither where the images end nor what is white in them.
+    reason = unknown_reasons(series, reconstruction, found.height_map)
+    return replace(found, height_map=with_specimen(replace(found.height_map, reason=reason), options.keep))
 
 
 def _stitched(
     series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[slice, slice]], cores: Iterable[_Core]
-) -> tuple[HeightMap, float]:
+) -> tuple[HeightMap, float, ImageArray]:
     """Put the cores of all tiles into one map; what heights share far and wide, drift, they share beyond their tile."""
     pixel_size = grid_pixel_size_um(series, reconstruction)
     height, uncertainty = np.full(series.shape, np.nan), np.full(series.shape, np.nan)
-    n_views, reason = np.zeros(series.shape, np.uint8), np.zeros(series.shape, np.uint8)
-    texture, period = (np.full(series.shape, np.nan, np.float32) for _ in range(2))
+    n_views = np.zeros(series.shape, np.uint8)
+    texture, period, times = (np.full(series.shape, np.nan, np.float32) for _ in range(3))
     shared_um2, n_known = np.zeros(len(places)), np.zeros(len(places))
     for k, (place, (core, shared)) in enumerate(zip(places, cores, strict=True)):
-        height[place], uncertainty[place], n_views[place], texture[place], reason[place], period[place] = core
+        height[place], uncertainty[place], n_views[place], texture[place], period[place], times[place] = core
         shared_um2[k], n_known[k] = shared, np.isfinite(core[0]).sum()
     pooled_um2 = float(shared_um2 @ n_known / max(n_known.sum(), 1.0))
     for place, shared in zip(places, shared_um2, strict=True):
-        uncertainty[place] = np.sqrt(np.maximum(uncertainty[place] ** 2 - shared, 0.0) + pooled_um2)
+        own = np.maximum(uncertainty[place] ** 2 - shared * times[place], 0.0)
+        uncertainty[place] = np.sqrt(own + pooled_um2 * times[place])
     # What stands alone in a tile may be small against the whole field.
     _, parallax = common_parallax(camera_matrices(reconstruction.motion)[:, :, 2] * pixel_size)
-    before = np.isfinite(height)
     height = without_islands(height / pixel_size, float(np.ptp(parallax))) * pixel_size
-    dropped = before & np.isnan(height)
-    uncertainty[dropped], texture[dropped], period[dropped], n_views[dropped] = np.nan, np.nan, np.nan, 0
-    reason[dropped] = Reason.INCONSISTENT
+    unknown = np.isnan(height)
+    uncertainty[unknown], texture[unknown], period[unknown], n_views[unknown] = np.nan, np.nan, np.nan, 0
     grid = _world_from_grid(series.shape, pixel_size)
     planes = height, uncertainty, n_views, texture
-    height_map = HeightMap(*planes, pixel_size, grid, series.length_unit, reason, lateral_period_um=period)
-    return height_map, pooled_um2
+    height_map = HeightMap(*planes, pixel_size, grid, series.length_unit, lateral_period_um=period)
+    return height_map, pooled_um2, times
 
 
 def _edges(size: int, tile_px: int) -> list[int]:
@@ -192,15 +193,14 @@ def _crop(values: NDArray[Any], corner: NDArray[np.int64], shape: tuple[int, int
 def _core(options: DenseOptions, tile: _Tile) -> _Core:
     surface = dense_surface(tile.series, tile.reconstruction, options)
     found = surface.height_map
-    reason = unknown_reasons(tile.series, tile.reconstruction, found)
     core = tile.core
     planes = (
         found.height_um[core].copy(),
         found.uncertainty_um[core].copy(),
         found.n_views[core].copy(),
         found.texture[core].copy(),
-        reason[core],
         found.lateral_period_um[core].copy(),
+        surface.shared_times[core].copy(),
     )
     return planes, surface.shared_variance_um2
 
