@@ -10,6 +10,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from semscape.dense.bridge import without_specks
 from semscape.dense.evidence import refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
 from semscape.dense.given import JUMP_PX
@@ -140,7 +141,8 @@ def _refined_map(
         return Views(samplers, parallax, reconstruction.reference)
 
     looked = views(_PRESMOOTH_PX)
-    refined = refine_by_evidence(sharpen_jumps(start_px, looked), looked, views(_AGREEMENT_PRESMOOTH_PX))
+    found = refine_by_evidence(sharpen_jumps(start_px, looked), looked, views(_AGREEMENT_PRESMOOTH_PX))
+    refined = without_specks(found, looked.baseline)
     height_map = HeightMap(
         height_um=refined.height * pixel_size,
         uncertainty_um=refined.uncertainty * pixel_size,
