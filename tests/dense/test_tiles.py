@@ -82,13 +82,20 @@ def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPa
     shared_um2, own_um2 = iter([0.0, 1.0, 4.0, 3.0]), 0.25
 
     def core(_: DenseOptions, tile: Any) -> Any:
-        shape, shared = [part.stop - part.start for part in tile.core], next(shared_um2)
-        height, uncertainty = np.zeros(shape), np.full(shape, np.sqrt(own_um2 + shared))
-        if shared == 1:  # a tile that knows half as much counts half
-            height[::2] = uncertainty[::2] = np.nan
+        shared = next(shared_um2)
+
+        def heights(place: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
+            shape = [part.stop - part.start for part in place]
+            height, uncertainty = np.zeros(shape), np.full(shape, np.sqrt(own_um2 + shared))
+            if shared == 1:  # a tile that knows half as much counts half
+                height[::2] = uncertainty[::2] = np.nan
+            return height, uncertainty
+
+        height, uncertainty = heights(tile.core)
+        shape = height.shape
         number = np.full(shape, 3, np.uint8)
         planes = height, uncertainty, number, np.zeros(shape, np.float32), 0 * number, np.ones(shape, np.float32)
-        return planes, shared
+        return planes, [heights(strip) for strip in tile.strips], shared
 
     monkeypatch.setattr("semscape.dense.tiles._core", core)
     surface = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160))
@@ -96,6 +103,32 @@ def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPa
     assert surface.shared_variance_um2 == pytest.approx(pooled_um2)
     stated = surface.height_map.uncertainty_um
     assert stated[np.isfinite(stated)] == pytest.approx(np.sqrt(own_um2 + pooled_um2))
+
+
+def test_no_seam_between_tiles_that_err_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each tile finds a known surface with an offset of its own, 0.2 px apart: no pixel shows where one ends."""
+    offsets, slope = iter([0.0, 0.2, -0.2, 0.1]), 0.05
+
+    def core(_: DenseOptions, tile: Any) -> Any:
+        offset, rows, columns = next(offsets), *np.indices(tile.series.shape).astype(float)
+        # Where the tile's first pixel lies in the field, from how far its world is moved.
+        x, y = (tile.reconstruction.points_um - calibrated()[1].points_um)[0, :2] / OPTIONS.pixel_size_um
+        shape = np.array(tile.series.shape)
+        top, left = (np.array([OPTIONS.height_px, OPTIONS.width_px]) - shape) / 2 + [y, -x]
+        height = (slope * (rows + top) + 0.02 * (columns + left) + offset) * OPTIONS.pixel_size_um
+
+        def heights(place: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
+            return height[place].copy(), np.full(height[place].shape, OPTIONS.pixel_size_um)
+
+        flat, number = np.zeros(height[tile.core].shape), np.full(height[tile.core].shape, 3, np.uint8)
+        planes = *heights(tile.core), number, flat.astype(np.float32), 0 * number, 1 + flat.astype(np.float32)
+        return planes, [heights(strip) for strip in tile.strips], 0.0
+
+    monkeypatch.setattr("semscape.dense.tiles._core", core)
+    height = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160)).height_map.height_um / OPTIONS.pixel_size_um
+    down, right = np.diff(height, axis=0) - slope, np.diff(height, axis=1) - 0.02
+    assert 0 < np.abs(down).max() < 0.4 / 64
+    assert 0 < np.abs(right).max() < 0.4 / 64
 
 
 def by_bytes(function: Any, items: Any) -> Any:
