@@ -58,7 +58,7 @@ def test_a_step_between_tiles_becomes_a_ramp() -> None:
 
 def test_tiles_that_see_different_surfaces_are_not_mixed() -> None:
     """Beside a jump one tile sees the top and the other the ground: the one in whose core it lies decides."""
-    maps = [np.where(COLS >= 20 + 6 * k, 40.0, 0.0) for k in range(4)]
+    maps = [40.0 * (COLS - 6 * k >= 20) for k in range(4)]
     height, _ = stitched(maps, [1.0] * 4)
     assert set(np.unique(height)) == {0.0, 40.0}
     for place, found in zip(PLACES, maps, strict=True):
