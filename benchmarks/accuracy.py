@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from accuracy_dense import measure_disjoint, measure_stereo, measure_surface
+from accuracy_dense import measure_disjoint, measure_stereo, measure_surface, small_gaps
 from isolated import REAL_SETS, Case, peak_memory_mb, real_set_folder, run_cases, timed
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def measure_real(name: str) -> dict[str, Any]:
         "completeness": round(float(known.mean()), 4),
         "completeness_specimen": round(float(known[specimen].mean()), 4),
         "specimen_share": round(float(specimen.mean()), 4),
+        "small_gaps": small_gaps(height_map.height_um),
         f"height_range_{unit}": round(result.report.metrics["height_range"], 4),
         f"height_range_specimen_{unit}": _range(height_map.height_um[specimen & known]),
         f"median_uncertainty_{unit}": round(result.report.metrics["median_uncertainty"], 4),

@@ -22,6 +22,7 @@ _BINS = 5
 _TRIM = 0.95
 _WRONG_PX = 1.0
 _FEW_PX = 200
+_SMALL_GAP_PX = 3
 
 
 def measure_surface(specimen: str, seed: int) -> dict[str, Any]:
@@ -239,6 +240,15 @@ def _only(cameras: Reconstruction, pair: tuple[int, int]) -> Reconstruction:
     return replace(cameras, motion=chosen, reference=int(np.argmin(np.abs(chosen.tilt_rad))))
 
 
+def small_gaps(height: FloatArray) -> int:
+    """Return how many gaps of at most three unknown pixels a height map (H, W) has."""
+    import numpy as np
+    from scipy.ndimage import label
+
+    gaps, _ = label(np.isnan(height), np.ones((3, 3)))
+    return int((np.bincount(gaps.ravel())[1:] <= _SMALL_GAP_PX).sum())
+
+
 def surface_errors(
     specimen: str, height_map: HeightMap, cameras: Reconstruction, truth: SimulationTruth
 ) -> dict[str, Any]:
@@ -257,6 +267,7 @@ def surface_errors(
         "trimmed_rmse_px": round(float(np.sqrt(np.mean(ranked[: int(_TRIM * ranked.size)] ** 2))), 3),
         "normal_median_deg": round(float(np.median(angle)), 2),
         "completeness": round(float(np.isfinite(height_map.height_um[_seen_twice(found, truth)]).mean()), 4),
+        "small_gaps": small_gaps(height_map.height_um),
     } | shape_figures(specimen, found, truth)
     sigma = height_map.uncertainty_um / pixel
     if np.isfinite(sigma).any():

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from semscape.dense.semi_global import least_cost
-from semscape.dense.sweep import sharpen_jumps
+from semscape.dense.sweep import _apart_from_jumps, sharpen_jumps
 from semscape.types import BoolArray, FloatArray
 from synthetic_views import COLUMNS, SHAPE, look_at
 
@@ -87,3 +87,13 @@ def test_a_jump_goes_where_the_guide_has_its_edge(edge: int) -> None:
     found = labelled(cost, np.zeros((9, 30), np.int32), guide)
     assert (np.abs(found[4, :edge] - 3) < 1).all()
     assert (np.abs(found[4, edge:] - 11) < 1).all()
+
+
+def test_brightness_beside_a_jump_counts_little() -> None:
+    """Within 3 px of a wall of 40 px, not along a slope of 4 px per px: 0.8 px of disparity are no jump."""
+    height = np.tile(np.where(COLUMNS < 75, 40.0, 0.0) + 4.0 * COLUMNS, (SHAPE[0], 1))
+    share = _apart_from_jumps(height, baseline=0.2)
+    beside = (COLUMNS >= 72) & (COLUMNS <= 78)
+    assert (share[:, beside] < 0.1).all()
+    assert (share[:, ~beside] == 1).all()
+    assert (share > 0).all()  # where jumps are everywhere they still say something

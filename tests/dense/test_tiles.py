@@ -15,7 +15,7 @@ from semscape.dense.groups import _reconstruction
 from semscape.dense.tiles import surface_in_tiles
 from semscape.options import DenseOptions
 from semscape.simulate import PRESETS, simulate
-from semscape.types import FloatArray, HeightMap, Reason, Reconstruction, TiltSeries
+from semscape.types import FloatArray, HeightMap, ImageArray, Reason, Reconstruction, TiltSeries
 
 OPTIONS = replace(
     PRESETS["nominal"], tilts_deg=(-6.0, 0.0, 6.0), width_px=300, height_px=260, data_bar_rows=20, shift_px=4.0
@@ -77,21 +77,34 @@ def disparities_apart(one: HeightMap, other: HeightMap) -> FloatArray:
     return apart
 
 
+def in_the_field(tile: Any) -> FloatArray:
+    """Return row and column in the field (2, H, W) of a tile's pixels, from how far its world is moved."""
+    x, y = (tile.reconstruction.points_um - calibrated()[1].points_um)[0, :2] / OPTIONS.pixel_size_um
+    shape = np.array(tile.series.shape)
+    corner = (np.array([OPTIONS.height_px, OPTIONS.width_px]) - shape) / 2 + [y, -x]
+    return np.asarray(np.indices(shape) + corner[:, None, None], np.float64)
+
+
 def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """What each tile finds of the variance that is shared far and wide is pooled: it knows no tiles' borders."""
     shared_um2, own_um2 = iter([0.0, 1.0, 4.0, 3.0]), 0.25
 
     def core(_: DenseOptions, tile: Any) -> Any:
-        shape, shared = [part.stop - part.start for part in tile.core], next(shared_um2)
-        height, uncertainty = np.zeros(shape), np.full(shape, np.sqrt(own_um2 + shared))
-        if shared == 1:  # a tile that knows half as much counts half
-            height[::2] = uncertainty[::2] = np.nan
-        number = np.full(shape, 3, np.uint8)
-        period = times = np.ones(shape, np.float32)
-        if shared == 4:  # few views hold three times as much of it
-            times = 3 * times
-            uncertainty = np.sqrt(own_um2 + shared * times)
-        return (height, uncertainty, number, np.zeros(shape, np.float32), period, times), shared
+        shared = next(shared_um2)
+        # On the left of the field fewer views agree: they hold three times as much of it.
+        shares = np.where(in_the_field(tile)[1] < 60, np.float32(3), np.float32(1))
+
+        def heights(place: tuple[slice, slice]) -> tuple[FloatArray, FloatArray, ImageArray]:
+            share = shares[place].copy()
+            height, uncertainty = np.zeros(share.shape), np.sqrt(own_um2 + shared * share).astype(np.float64)
+            if shared == 1:  # a tile that knows half as much counts half
+                height[::2] = uncertainty[::2] = np.nan
+            return height, uncertainty, share
+
+        height, uncertainty, share = heights(tile.core)
+        number, nothing = np.full(height.shape, 3, np.uint8), np.zeros(height.shape, np.float32)
+        planes = height, uncertainty, number, nothing, nothing + 1, share
+        return planes, [heights(strip) for strip in tile.strips], shared
 
     monkeypatch.setattr("semscape.dense.tiles._core", core)
     surface = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160))
@@ -101,6 +114,29 @@ def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPa
     times = surface.shared_times
     assert np.unique(times).tolist() == [1.0, 3.0]
     assert stated[np.isfinite(stated)] == pytest.approx(np.sqrt(own_um2 + pooled_um2 * times)[np.isfinite(stated)])
+
+
+def test_no_seam_between_tiles_that_err_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each tile finds a known surface with an offset of its own, 0.2 px apart: no pixel shows where one ends."""
+    offsets, slope = iter([0.0, 0.2, -0.2, 0.1]), 0.05
+
+    def core(_: DenseOptions, tile: Any) -> Any:
+        rows, columns = in_the_field(tile)
+        height = (slope * rows + 0.02 * columns + next(offsets)) * OPTIONS.pixel_size_um
+
+        def heights(place: tuple[slice, slice]) -> tuple[FloatArray, FloatArray, ImageArray]:
+            shape = height[place].shape
+            return height[place].copy(), np.full(shape, OPTIONS.pixel_size_um), np.ones(shape, np.float32)
+
+        (found, sigma, share), nothing = heights(tile.core), np.zeros(height[tile.core].shape, np.float32)
+        planes = found, sigma, np.full(found.shape, 3, np.uint8), nothing, nothing + 1, share
+        return planes, [heights(strip) for strip in tile.strips], 0.0
+
+    monkeypatch.setattr("semscape.dense.tiles._core", core)
+    height = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160)).height_map.height_um / OPTIONS.pixel_size_um
+    down, right = np.diff(height, axis=0) - slope, np.diff(height, axis=1) - 0.02
+    assert 0 < np.abs(down).max() < 0.4 / 64
+    assert 0 < np.abs(right).max() < 0.4 / 64
 
 
 def by_bytes(function: Any, *items: Any) -> Any:

@@ -9,6 +9,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from semscape.dense.bridge import without_specks
 from semscape.dense.evidence import refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
 from semscape.dense.given import JUMP_PX
@@ -146,7 +147,8 @@ def _refined_map(
 
     looked = views(_PRESMOOTH_PX)
     sharp_px = sharpen_jumps(start_px, looked, mapper=mapper)
-    refined = refine_by_evidence(sharp_px, looked, views(_AGREEMENT_PRESMOOTH_PX), mapper=mapper)
+    found = refine_by_evidence(sharp_px, looked, views(_AGREEMENT_PRESMOOTH_PX), mapper=mapper)
+    refined = without_specks(found, looked.baseline)
     height_map = HeightMap(
         height_um=refined.height * pixel_size,
         uncertainty_um=refined.uncertainty * pixel_size,

@@ -39,6 +39,9 @@ _GAIN_WINDOW_PX = 12.0
 # The pairs' disparity jumps, sharply or smeared, where over a square of so many px it spans so many px.
 _JUMPS = ((3, 1.5), (13, 5.0))
 _AROUND_PX = 9
+# Beside a jump: how far blur and parallax carry its other side, and how much the brightness there counts.
+_BESIDE_PX = 3
+_BESIDE_SHARE = 0.05
 _SPECK_PX = 5
 _PENALTY_SMALL = 12.0
 _PENALTY_LARGE = 120.0
@@ -118,7 +121,8 @@ def sharpen_jumps(start: FloatArray, views: Views, *, mapper: Mapper = map) -> F
     surface = _without_stairs(np.where(wanted, found, start), views.baseline)
     fine = _labels(filled, _FINE_STEP_PX, views.baseline)
     slopes = np.rint(surface / fine.step).astype(np.int32)
-    found = _sweep(fine, wanted, slopes, views, _brightness(surface, views, _GAIN_WINDOW_PX), mapper)
+    apart = _apart_from_jumps(surface, views.baseline)
+    found = _sweep(fine, wanted, slopes, views, _brightness(surface, views, _GAIN_WINDOW_PX, apart), mapper)
     return _better(start, found, views, mapper)
 
 
@@ -201,8 +205,23 @@ def _band(count: int, given: tuple[Any, ...], rows: tuple[int, int]) -> NDArray[
     return cost
 
 
-def _brightness(height: FloatArray, views: Views, window_px: float | None) -> _Brightness:
-    """Compare the views' brightness on a surface; over the whole field where `window_px` is None."""
+def _apart_from_jumps(height: FloatArray, baseline: float) -> ImageArray:
+    """Return how much pixels (H, W) count for brightness: little beside a jump, where some views show its other side.
+
+    Else the whole window around sees the views differ as the jump does.
+    """
+    jump = np.zeros(height.shape, np.uint8)
+    jump[:, 1:] |= np.abs(np.diff(height, axis=1)) * baseline > JUMP_PX
+    jump[1:] |= np.abs(np.diff(height, axis=0)) * baseline > JUMP_PX
+    side = 2 * _BESIDE_PX + 1
+    beside = cv2.dilate(jump, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))) > 0
+    return np.where(beside, np.float32(_BESIDE_SHARE), np.float32(1))
+
+
+def _brightness(
+    height: FloatArray, views: Views, window_px: float | None, share: ImageArray | None = None
+) -> _Brightness:
+    """Compare the views' brightness on a surface, each pixel by its share; the whole field's without a window."""
     looks = [sampler.look(height) for sampler in views.samplers]
     own, own_inside = looks[views.reference]
     gain, residuals = [1.0] * len(looks), []
@@ -219,8 +238,9 @@ def _brightness(height: FloatArray, views: Views, window_px: float | None) -> _B
         if window_px is None:
             offset[i] = difference[seen].mean()
         else:
-            share = np.maximum(gaussian_window(both, window_px), 1e-3)
-            offset[i] = gaussian_window((difference * both).astype(np.float32), window_px) / share
+            weight = both if share is None else both * share
+            total = np.maximum(gaussian_window(weight, window_px), 1e-3)
+            offset[i] = gaussian_window((difference * weight).astype(np.float32), window_px) / total
         residuals.append(np.abs(difference - offset[i])[seen])
     noise = 1.4826 * float(np.median(np.concatenate(residuals))) if residuals else 1.0
     return _Brightness(gain, offset, max(noise, 1e-6))

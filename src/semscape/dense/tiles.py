@@ -1,7 +1,8 @@
 """Large fields in tiles with overlap: each tile is a small series of crops, and its core goes into the whole map.
 
-Time and memory of the dense stage so follow the tile, whatever the size of the images. The tiles' places follow from
-the images and the options alone: nothing depends on how many are computed side by side, or where.
+Cores are faded into each other at their borders. Time and memory of the dense stage so follow the tile, whatever the
+size of the images. The tiles' places follow from the images and the options alone: nothing depends on how many are
+computed side by side, or where.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from semscape.dense.parallel import as_parallel
 from semscape.dense.reasons import unknown_reasons
 from semscape.dense.rectify import PHASE_PX, grid_pixel_size_um
 from semscape.dense.sampling import common_parallax
+from semscape.dense.seams import Patch, Place, faded, strips_around
 from semscape.dense.side_by_side import Mapper
 from semscape.dense.specimen import with_specimen
 from semscape.dense.surface import DenseSurface, choose_pairs, dense_surface
@@ -30,20 +32,27 @@ from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, Ti
 # Beyond a tile's core: the widest window of the refinement reaches 40 px, the paths of matching about as far again; and
 # half of the step between the places where tiles may begin.
 _OVERLAP_PX = 88
+# Over so many px on both sides of a border tiles fade into each other: far from where a tile ends.
+_FADE_PX = 32
 
 # Height, uncertainty, number of views, texture, lateral period, and how many times the shared variance each holds.
 _Planes = tuple[FloatArray, FloatArray, NDArray[np.uint8], ImageArray, ImageArray, ImageArray]
-# With the part of all variances, um^2, that the tile's heights share.
-_Core = tuple[_Planes, float]
+# With height, uncertainty and those times in each of the strips around, and the part of all variances, um^2, that the
+# tile's heights share.
+_Core = tuple[_Planes, list[tuple[FloatArray, FloatArray, ImageArray]], float]
 
 
 @dataclass(frozen=True, eq=False)
 class _Tile:
-    """A series of crops with its reconstruction; `core` are the rows and columns of its map that count."""
+    """A series of crops with its reconstruction; `core` are the rows and columns of its map that count.
+
+    The `strips` around it fade into other cores.
+    """
 
     series: TiltSeries
     reconstruction: Reconstruction
-    core: tuple[slice, slice]
+    core: Place
+    strips: list[Place]
 
 
 def surface_in_tiles(
@@ -72,8 +81,9 @@ def surface_in_tiles(
         found = dense_surface(series, reconstruction, options, mapper=mapper)
     else:
         places = [(slice(*r), slice(*c)) for r, c in product(pairwise(rows), pairwise(columns))]
-        cores = mapper(partial(_core, options), _cut(series, reconstruction, places))
-        height_map, shared_um2, times = _stitched(series, reconstruction, places, cores)
+        fade_px = min(_FADE_PX, *(int(np.diff(edges).min()) // 2 for edges in (rows, columns)))
+        cores = mapper(partial(_core, options), _cut(series, reconstruction, places, fade_px))
+        height_map, shared_um2, times = _stitched(series, reconstruction, places, fade_px, cores)
         pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
         found = DenseSurface(height_map, tuple(pairs), shared_um2, times)
     # Of the whole field at once: a tile knows neither where the images end nor what is white in them.
@@ -82,7 +92,7 @@ def surface_in_tiles(
 
 
 def _stitched(
-    series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[slice, slice]], cores: Iterable[_Core]
+    series: TiltSeries, reconstruction: Reconstruction, places: list[Place], fade_px: int, cores: Iterable[_Core]
 ) -> tuple[HeightMap, float, ImageArray]:
     """Put the cores of all tiles into one map; what heights share far and wide, drift, they share beyond their tile."""
     pixel_size = grid_pixel_size_um(series, reconstruction)
@@ -90,13 +100,23 @@ def _stitched(
     n_views = np.zeros(series.shape, np.uint8)
     texture, period, times = (np.full(series.shape, np.nan, np.float32) for _ in range(3))
     shared_um2, n_known = np.zeros(len(places)), np.zeros(len(places))
-    for k, (place, (core, shared)) in enumerate(zip(places, cores, strict=True)):
+    rims: list[list[Patch]] = []
+    held: list[list[ImageArray]] = []
+    for k, (place, (core, around, shared)) in enumerate(zip(places, cores, strict=True)):
         height[place], uncertainty[place], n_views[place], texture[place], period[place], times[place] = core
+        strips = strips_around(place, series.shape, fade_px)
+        rims.append([Patch(place, strip, *found[:2]) for strip, found in zip(strips, around, strict=True)])
+        held.append([found[2] for found in around])
         shared_um2[k], n_known[k] = shared, np.isfinite(core[0]).sum()
     pooled_um2 = float(shared_um2 @ n_known / max(n_known.sum(), 1.0))
-    for place, shared in zip(places, shared_um2, strict=True):
-        own = np.maximum(uncertainty[place] ** 2 - shared * times[place], 0.0)
-        uncertainty[place] = np.sqrt(own + pooled_um2 * times[place])
+    for place, rim, shares, shared in zip(places, rims, held, shared_um2, strict=True):
+        sigmas = (uncertainty[place], *(patch.uncertainty for patch in rim))
+        for sigma, share in zip(sigmas, (times[place], *shares), strict=True):
+            sigma[:] = np.sqrt(np.maximum(sigma**2 - shared * share, 0.0) + pooled_um2 * share)
+    for k, place in enumerate(places):
+        own = Patch(place, place, height[place], uncertainty[place])
+        others = [patch for near in _neighbours(places, k) for patch in rims[near]]
+        height[place], uncertainty[place] = faded(own, others, series.shape, fade_px)
     # What stands alone in a tile may be small against the whole field.
     _, parallax = common_parallax(camera_matrices(reconstruction.motion)[:, :, 2] * pixel_size)
     height = without_islands(height / pixel_size, float(np.ptp(parallax))) * pixel_size
@@ -106,6 +126,22 @@ def _stitched(
     planes = height, uncertainty, n_views, texture
     height_map = HeightMap(*planes, pixel_size, grid, series.length_unit, lateral_period_um=period)
     return height_map, pooled_um2, times
+
+
+def _neighbours(places: list[Place], k: int) -> list[int]:
+    """Return which places lie next to one, at its corners too; places are ordered by rows.
+
+    Examples
+    --------
+    >>> grid = [(slice(row, row + 1), slice(col, col + 1)) for row in range(3) for col in range(3)]
+    >>> _neighbours(grid, 1)
+    [0, 2, 3, 4, 5]
+    """
+    columns = sum(rows == places[0][0] for rows, _ in places)
+    row, column = divmod(k, columns)
+    near = product((row - 1, row, row + 1), (column - 1, column, column + 1))
+    inside = [r * columns + c for r, c in near if 0 <= c < columns and 0 <= r < len(places) // columns]
+    return [other for other in inside if other != k]
 
 
 def _edges(size: int, tile_px: int) -> list[int]:
@@ -120,14 +156,14 @@ def _edges(size: int, tile_px: int) -> list[int]:
     return [size * k // count for k in range(count + 1)]
 
 
-def _cut(series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[slice, slice]]) -> list[_Tile]:
+def _cut(series: TiltSeries, reconstruction: Reconstruction, places: list[Place], fade_px: int) -> list[_Tile]:
     """Cut a series into tiles; each view's crop shows the core, its overlap and the parallax of all heights there."""
     motion, pixel_size = reconstruction.motion, grid_pixel_size_um(series, reconstruction)
     matrices = camera_matrices(motion)
     world_from_grid = _world_from_grid(series.shape, pixel_size)
     low, high = np.percentile(reconstruction.points_um[:, 2], [0.2, 99.8])
 
-    def seen(place: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
+    def seen(place: Place) -> tuple[FloatArray, FloatArray]:
         """Return the first and the last px (V, 2), x and y, that show a place in each view."""
         rows, columns = ((part.start - _OVERLAP_PX, part.stop - 1 + _OVERLAP_PX) for part in place)
         corners = np.array([(col, row, z, 1.0) for col, row, z in product(columns, rows, (low, high))])
@@ -157,8 +193,12 @@ def _cut(series: TiltSeries, reconstruction: Reconstruction, places: list[tuple[
         )
         moved = replace(motion, translation_px=motion.translation_px + matrices[:, :, :2] @ centre[:2] - corner)
         points = reconstruction.points_um - [centre[0], centre[1], 0.0]
-        core = slice(place[0].start - top, place[0].stop - top), slice(place[1].start - left, place[1].stop - left)
-        tiles.append(_Tile(replace(series, views=views), replace(reconstruction, motion=moved, points_um=points), core))
+        core, *strips = (
+            (slice(part[0].start - top, part[0].stop - top), slice(part[1].start - left, part[1].stop - left))
+            for part in (place, *strips_around(place, series.shape, fade_px))
+        )
+        crops = replace(series, views=views), replace(reconstruction, motion=moved, points_um=points)
+        tiles.append(_Tile(*crops, core, strips))
     return tiles
 
 
@@ -202,7 +242,11 @@ def _core(options: DenseOptions, tile: _Tile) -> _Core:
         found.lateral_period_um[core].copy(),
         surface.shared_times[core].copy(),
     )
-    return planes, surface.shared_variance_um2
+    around = [
+        (found.height_um[strip].copy(), found.uncertainty_um[strip].copy(), surface.shared_times[strip].copy())
+        for strip in tile.strips
+    ]
+    return planes, around, surface.shared_variance_um2
 
 
 def _world_from_grid(shape: tuple[int, int], pixel_size: float) -> FloatArray:
