@@ -193,8 +193,8 @@ class SfmOptions(_Stage):
 class DenseOptions(_Stage):
     """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits.
 
-    Fields whose sides are longer than `tile_px` are computed in tiles with overlap, so that memory does not grow with
-    them; 0 is one piece. `keep` is "all" or "specimen": without what lies on the background stub.
+    Fields whose sides are longer than 4/3 `tile_px` are computed in tiles with overlap, so that memory does not grow
+    with them; 0 is one piece. `keep` is "all" or "specimen": without what lies on the background stub.
     """
 
     max_pairs: int = 4

@@ -184,3 +184,22 @@ def test_what_stands_above_all_sparse_points_is_found() -> None:
     whole = found(0)
     highest = whole.height_um > np.nanquantile(whole.height_um, 0.97)
     assert np.mean(disparities_apart(whole, apart)[highest] < 0.5) > 0.97
+
+
+@pytest.mark.parametrize(("tile_px", "tiles"), [(224, 4), (225, 0), (0, 0)])
+def test_a_field_as_large_as_a_tile_with_its_overlap_is_one_piece(
+    tile_px: int, tiles: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cut = []
+
+    def mapper(_: Any, items: Any) -> Any:
+        cut.extend(items)
+        raise KeyboardInterrupt
+
+    def whole(*_: Any, **__: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("semscape.dense.tiles.dense_surface", whole)
+    with pytest.raises(KeyboardInterrupt):
+        surface_in_tiles(*calibrated(), DenseOptions(tile_px=tile_px), mapper=mapper)
+    assert len(cut) == tiles

@@ -32,6 +32,8 @@ from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, Ti
 # Beyond a tile's core: the widest window of the refinement reaches 40 px, the paths of matching about as far again; and
 # half of the step between the places where tiles may begin.
 _OVERLAP_PX = 88
+# With its overlap and the relief's parallax a tile is about as large: cut, such a field would be twice the work.
+_WHOLE_IN_TILES = 4 / 3
 # Over so many px on both sides of a border tiles fade into each other: far from where a tile ends.
 _FADE_PX = 32
 
@@ -66,7 +68,8 @@ def surface_in_tiles(
     reconstruction : Reconstruction
         Of the same views.
     options : DenseOptions
-        No side of a tile's core is longer than `tile_px`; 0 is one tile, whatever its size.
+        No side of a tile's core is longer than `tile_px`, but a field that is no larger than a tile with its overlap
+        is one piece; with 0 it is, whatever its size.
     mapper : callable
         `map`, or one that runs the tiles side by side, in other processes if need be; the result does not depend on it.
 
@@ -76,7 +79,8 @@ def surface_in_tiles(
         When no two views differ enough in tilt.
     """
     series = as_parallel(series, reconstruction)
-    rows, columns = (_edges(size, options.tile_px) for size in series.shape)
+    whole = max(series.shape) <= _WHOLE_IN_TILES * options.tile_px
+    rows, columns = (_edges(size, 0 if whole else options.tile_px) for size in series.shape)
     if len(rows) == len(columns) == 2:
         found = dense_surface(series, reconstruction, options, mapper=mapper)
     else:
