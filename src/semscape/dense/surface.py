@@ -10,6 +10,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from semscape.dense.blank import without_blank
 from semscape.dense.evidence import refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
 from semscape.dense.given import JUMP_PX
@@ -60,6 +61,7 @@ def dense_surface(
     DegenerateGeometryError
         When no two views differ enough in tilt.
     """
+    series = without_blank(series)
     frame = rectified_frame(series, reconstruction)
     pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
     if not pairs:
