@@ -123,8 +123,8 @@ def figures_of(taken: AllAround, found: FullObject) -> dict[str, Any]:
     import trimesh
 
     from semscape.evaluate.align import Alignment
-    from semscape.evaluate.distances import quantile, surface_figures
-    from semscape.evaluate.surface import closest, make_surface
+    from semscape.evaluate.distances import surface_figures
+    from semscape.evaluate.surface import make_surface
     from semscape.evaluate.units import Units
 
     pixel = float(taken.series.pixel_size_um[0])
