@@ -16,8 +16,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from semscape.dense.closing import closing_points
 from semscape.dense.groups import PlacedMap
-from semscape.dense.poisson import OrientedPoints, closed_surface
+from semscape.dense.oriented_points import OrientedPoints
+from semscape.dense.poisson import closed_surface
 from semscape.dense.samples import map_samples
 from semscape.errors import NoAnswerError
 from semscape.types import BoolArray, FloatArray, IntArray, SurfaceMesh
@@ -77,7 +79,8 @@ def merge_maps(maps: Sequence[PlacedMap]) -> MergedSurface:
     area = np.concatenate([part.area for part in parts])
     size = np.prod(np.ptp(points, axis=0) * 1.3)
     cell = max(_FINEST_CELL_PX * maps[0].height_map.pixel_size_um, float(np.cbrt(size / _MOST_NODES)))
-    vertices, faces = _largest_part(*closed_surface(OrientedPoints(points, normals, area), cell))
+    known = OrientedPoints(points, normals, area)
+    vertices, faces = _largest_part(*closed_surface(known.with_others(closing_points(known, cell)), cell))
     grey = np.concatenate([part.grey for part in parts])
     squareness = np.concatenate([part.squareness for part in parts])
     color, distance = _colors(vertices, points, grey, squareness)
