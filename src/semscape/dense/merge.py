@@ -28,6 +28,8 @@ _AGREEMENT_PX = 4.0
 _MOST_CONFLICTS = 0.34
 # What one map alone sees is believed where it looks at it squarely.
 _SQUARE = np.cos(np.deg2rad(45.0))
+# But not where so many others look at such a place, and none of them sees it.
+_MISSED, _WOULD_SEE = 2, np.cos(np.deg2rad(60.0))
 _MOST_NODES = 6_000_000
 _FINEST_CELL_PX = 1.25
 _LEAST_POINTS = 100
@@ -65,9 +67,10 @@ def merge_maps(maps: Sequence[PlacedMap]) -> MergedSurface:
     parts = []
     for index, placed in enumerate(maps):
         samples = map_samples(placed)
-        support, conflict = _votes(samples.points, [other for k, other in enumerate(maps) if k != index])
+        others = [other for k, other in enumerate(maps) if k != index]
+        support, conflict = _votes(samples.points, others)
         believed = conflict <= _MOST_CONFLICTS * (1 + support + conflict)
-        believed &= (support > 0) | (samples.squareness >= _SQUARE)
+        believed &= (support > 0) | ((samples.squareness >= _SQUARE) & (_looking(samples.normals, others) < _MISSED))
         parts.append(samples.only(believed, 1.0 + support))
     points = np.concatenate([part.points for part in parts])
     if len(points) < _LEAST_POINTS:
@@ -90,6 +93,12 @@ def merge_maps(maps: Sequence[PlacedMap]) -> MergedSurface:
     measured = float(np.average(seen[faces].all(axis=1), weights=face_area))
     colors = np.where(seen[:, None], color[:, None], _CLOSED_UP).astype(np.uint8)
     return MergedSurface(SurfaceMesh(vertices, faces, colors, maps[0].height_map.length_unit), seen, measured, cell)
+
+
+def _looking(normals: FloatArray, others: Sequence[PlacedMap]) -> FloatArray:
+    """Return how many maps look at places with these normals (N, 3) within 60 deg."""
+    up = np.array([placed.world_from_group[:3, 2] for placed in others]).reshape(-1, 3)
+    return np.asarray((normals @ up.T >= _WOULD_SEE).sum(axis=1), np.float64)
 
 
 def _votes(points: FloatArray, others: Sequence[PlacedMap]) -> tuple[FloatArray, FloatArray]:
