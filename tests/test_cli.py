@@ -347,3 +347,19 @@ def test_keep_says_what_is_kept(images: Path, tmp_path: Path, seen: dict[str, An
     ended = run("reconstruct", images, "-o", tmp_path / "other", "--tilts", "-3,0,3", "--keep", "specimens")
     assert ended.exit_code == 2
     assert "the nearest one is 'specimen'" in ended.output
+
+
+def test_a_full_object_tells_before_the_work_what_is_doubtful_in_its_files(images: Path, tmp_path: Path) -> None:
+    """One file is no image; and one image has no tilt, which is told before it is refused."""
+    stage = [f'[images."{name}.tif"]\ntilt_deg = {tilt}\nstage_rotation_deg = 0' for name, tilt in (("a", 0), ("b", 6))]
+    (images / "series.toml").write_text("\n".join(stage))
+    (images / "field.dat").write_bytes(b"?")
+    doubtful = json.loads(run("inspect", images, "--json").stdout)["warnings"]
+    assert [text.split(";")[0] for text in doubtful] == [
+        "ignored: field.dat (no image suffix)",
+        "no tilt is known for c.tif",
+    ]
+    told = run("reconstruct", images, "-o", tmp_path / "run", "--full-object")
+    assert "c.tif: a full object needs the tilt" in told.stderr
+    said = [line.removeprefix("warning: ") for line in told.stderr.splitlines() if line.startswith("warning: ")]
+    assert said == doubtful

@@ -89,6 +89,20 @@ def test_a_fringe_that_floats_before_what_others_see_is_left_out() -> None:
     assert np.percentile(distances_px(merged.mesh.vertices_um[merged.seen]), 95) < 2.5
 
 
+def test_what_one_map_sees_and_none_of_those_that_look_there_is_left_out() -> None:
+    """A brim beyond the outline, low where no other map sees anything behind it."""
+    given = list(maps())
+    for k in (1, 3, 5):
+        height = given[k].height_map.height_um.copy()
+        row, col = np.indices(height.shape)
+        grid = np.stack([col, row, np.zeros_like(height), np.ones_like(height)], axis=-1)
+        low = (grid @ given[k].world_from_grid.T)[..., 2] < -0.6 * RADIUS
+        height[np.isnan(height) & low & (np.hypot(row - SIDE / 2, col - SIDE / 2) < 46)] = 0.0
+        given[k] = replace(given[k], height_map=replace(given[k].height_map, height_um=height))
+    merged = merge_maps(given)
+    assert np.percentile(distances_px(merged.mesh.vertices_um[merged.seen]), 98) < 3
+
+
 def test_maps_that_calibration_has_shifted_and_turned_find_their_places() -> None:
     rng = np.random.default_rng(2)
     spoilt = [maps()[0]]

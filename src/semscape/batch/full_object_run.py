@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from semscape.batch.input_files import file_states, require_unchanged
@@ -14,12 +15,21 @@ from semscape.io.work_folder import WorkFolder
 from semscape.options import Options
 from semscape.pipeline import reconstruct_full_object
 from semscape.report.full_object import write_full_object
+from semscape.types import TiltSeries
 
 
 def reconstruct_object_folder(
-    folder: Path, output: Path, options: Options, *, workers: int | None = None, progress: Progress | None = None
+    folder: Path,
+    output: Path,
+    options: Options,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    on_series: Callable[[TiltSeries], None] | None = None,
 ) -> FullObject:
     """Reconstruct a body from a folder of images, each with its stage tilt and rotation, into a run folder.
+
+    The parameters are those of `reconstruct_folder`.
 
     Raises
     ------
@@ -30,6 +40,8 @@ def reconstruct_object_folder(
     with lack_of_memory_told(progress) as follow:
         states = file_states(folder)
         series = load_series(folder, options.input)
+        if on_series:
+            on_series(series)
         with FolderLock(make_folder(output)):
             prepare_run_folder(output)
             work = WorkFolder(output, "")  # which says, should this be killed, that the folder is a run's

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -123,13 +123,7 @@ def run_into(folder: Path, output: Path, options: Options, *, workers: int | Non
     from semscape.batch.folder_run import reconstruct_folder
     from semscape.report.console import StageLines, print_line, print_summary
 
-    told: list[str] = []
-
-    def warn(texts: Iterable[str]) -> None:
-        for text in texts if lines else ():
-            if text not in told:
-                print_line(f"warning: {text}", console(err=True), "yellow")
-                told.append(text)
+    warn = _warner(lines=lines)
 
     def on_series(series: TiltSeries) -> None:
         progress.take_unit_of(series)
@@ -152,14 +146,36 @@ def run_object_into(
     from semscape.report.console import StageLines, print_line
     from semscape.report.full_object import object_verdict
 
+    warn = _warner(lines=lines)
+
+    def on_series(series: TiltSeries) -> None:
+        progress.take_unit_of(series)
+        warn(series.warnings)
+
     with StageLines(console(err=True), quiet=not lines) as progress:
-        found = reconstruct_object_folder(folder, output, options, workers=workers, progress=progress)
+        found = reconstruct_object_folder(
+            folder, output, options, workers=workers, progress=progress, on_series=on_series
+        )
     if quiet:
         return
-    for warning in found.motion.doubts if lines else ():
-        print_line(f"warning: {warning}", console(err=True), "yellow")
+    warn(found.warnings)
     mesh, measured = found.merged.mesh, found.merged.measured
     print_line(object_verdict(found), console())
     print_line(f"{len(mesh.faces):,} triangles from {len(found.maps)} groups of views", console())
     print_line(f"{measured:.0%} of the surface is seen by views, the rest closes the body", console())
     print_line(f"report: {output / 'report.html'}", console())
+
+
+def _warner(*, lines: bool) -> Callable[[Iterable[str]], None]:
+    """Return what prints warnings on stderr, each once; nothing where no lines are wanted."""
+    from semscape.report.console import print_line
+
+    told: list[str] = []
+
+    def warn(texts: Iterable[str]) -> None:
+        for text in texts if lines else ():
+            if text not in told:
+                print_line(f"warning: {text}", console(err=True), "yellow")
+                told.append(text)
+
+    return warn

@@ -25,6 +25,11 @@ class FullObject:
     maps: tuple[PlacedMap, ...]
     merged: MergedSurface
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was doubtful in the files, what the images contradict, and what they leave open."""
+        return (*self.series.warnings, *self.motion.doubts)
+
 
 def full_object_surface(
     series: TiltSeries,

@@ -16,8 +16,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from semscape.dense.closing import closing_points
 from semscape.dense.groups import PlacedMap
-from semscape.dense.poisson import OrientedPoints, closed_surface
+from semscape.dense.oriented_points import OrientedPoints
+from semscape.dense.poisson import closed_surface
 from semscape.dense.samples import map_samples
 from semscape.errors import NoAnswerError
 from semscape.types import BoolArray, FloatArray, IntArray, SurfaceMesh
@@ -26,6 +28,8 @@ _AGREEMENT_PX = 4.0
 _MOST_CONFLICTS = 0.34
 # What one map alone sees is believed where it looks at it squarely.
 _SQUARE = np.cos(np.deg2rad(45.0))
+# But not where so many others look at such a place, and none of them sees it.
+_MISSED, _WOULD_SEE = 2, np.cos(np.deg2rad(60.0))
 _MOST_NODES = 6_000_000
 _FINEST_CELL_PX = 1.25
 _LEAST_POINTS = 100
@@ -63,9 +67,10 @@ def merge_maps(maps: Sequence[PlacedMap]) -> MergedSurface:
     parts = []
     for index, placed in enumerate(maps):
         samples = map_samples(placed)
-        support, conflict = _votes(samples.points, [other for k, other in enumerate(maps) if k != index])
+        others = [other for k, other in enumerate(maps) if k != index]
+        support, conflict = _votes(samples.points, others)
         believed = conflict <= _MOST_CONFLICTS * (1 + support + conflict)
-        believed &= (support > 0) | (samples.squareness >= _SQUARE)
+        believed &= (support > 0) | ((samples.squareness >= _SQUARE) & (_looking(samples.normals, others) < _MISSED))
         parts.append(samples.only(believed, 1.0 + support))
     points = np.concatenate([part.points for part in parts])
     if len(points) < _LEAST_POINTS:
@@ -77,7 +82,8 @@ def merge_maps(maps: Sequence[PlacedMap]) -> MergedSurface:
     area = np.concatenate([part.area for part in parts])
     size = np.prod(np.ptp(points, axis=0) * 1.3)
     cell = max(_FINEST_CELL_PX * maps[0].height_map.pixel_size_um, float(np.cbrt(size / _MOST_NODES)))
-    vertices, faces = _largest_part(*closed_surface(OrientedPoints(points, normals, area), cell))
+    known = OrientedPoints(points, normals, area)
+    vertices, faces = _largest_part(*closed_surface(known.with_others(closing_points(known, cell)), cell))
     grey = np.concatenate([part.grey for part in parts])
     squareness = np.concatenate([part.squareness for part in parts])
     color, distance = _colors(vertices, points, grey, squareness)
@@ -87,6 +93,12 @@ def merge_maps(maps: Sequence[PlacedMap]) -> MergedSurface:
     measured = float(np.average(seen[faces].all(axis=1), weights=face_area))
     colors = np.where(seen[:, None], color[:, None], _CLOSED_UP).astype(np.uint8)
     return MergedSurface(SurfaceMesh(vertices, faces, colors, maps[0].height_map.length_unit), seen, measured, cell)
+
+
+def _looking(normals: FloatArray, others: Sequence[PlacedMap]) -> FloatArray:
+    """Return how many maps look at places with these normals (N, 3) within 60 deg."""
+    up = np.array([placed.world_from_group[:3, 2] for placed in others]).reshape(-1, 3)
+    return np.asarray((normals @ up.T >= _WOULD_SEE).sum(axis=1), np.float64)
 
 
 def _votes(points: FloatArray, others: Sequence[PlacedMap]) -> tuple[FloatArray, FloatArray]:

@@ -9,30 +9,20 @@ tetrahedra, which leaves no hole and no edge with other than two triangles.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
 from scipy import fft
 from scipy.sparse import csr_array
 
+from semscape.dense.oriented_points import OrientedPoints, gradient_source, node_weights
 from semscape.types import FloatArray, IntArray
 
 _MARGIN = 0.12
 _ROUNDS = 30
 _TOLERANCE = 3e-3
-_SMOOTHING_CELLS = 0.7
 # Pull to 1/2 at a point of full weight, against the gradient's, per cell.
 _SCREENING = 4.0
-
-
-@dataclass(frozen=True, eq=False)
-class OrientedPoints:
-    """Points (N, 3) with unit normals (N, 3) to the outside, and the area (N,) of the surface that each stands for."""
-
-    points: FloatArray
-    normals: FloatArray
-    area: FloatArray
 
 
 def closed_surface(samples: OrientedPoints, cell: float) -> tuple[FloatArray, IntArray]:
@@ -64,41 +54,29 @@ def closed_surface(samples: OrientedPoints, cell: float) -> tuple[FloatArray, In
     margin = _MARGIN * float((high - low).max()) + 4 * cell
     shape = tuple(fft.next_fast_len(int(np.ceil(size / cell)) + 1, real=True) for size in high - low + 2 * margin)
     origin = (low + high) / 2 - cell * (np.array(shape) - 1) / 2
-    at_points = _trilinear((samples.points - origin) / cell, shape)
+    at_points = node_weights((samples.points - origin) / cell, shape)
     indicator = _indicator(samples, at_points, shape, cell)
     level = float(np.average(at_points @ indicator.ravel(), weights=samples.area))
-    vertices, faces = level_surface(indicator - level)
+    vertices, faces = level_surface(_outside_at_border(indicator - level))
     return vertices * cell + origin, faces
 
 
-def _trilinear(places: FloatArray, shape: tuple[int, ...]) -> csr_array:
-    """Return the sparse matrix (N, nodes) that interpolates a grid at places (N, 3), in nodes."""
-    base = np.floor(places).astype(np.int64)
-    part = places - base
-    columns, weights = [], []
-    for corner in np.ndindex(2, 2, 2):
-        columns.append(np.ravel_multi_index(tuple((base + corner).T), shape))
-        weights.append(np.where(corner, part, 1 - part).prod(axis=1))
-    rows = np.repeat(np.arange(len(places)), 8)
-    data = np.stack(weights, axis=1).ravel()
-    return csr_array((data, (rows, np.stack(columns, axis=1).ravel())), shape=(len(places), int(np.prod(shape))))
+def _outside_at_border(values: FloatArray) -> FloatArray:
+    """Return values (X, Y, Z) that are negative on the border, so that their surface is closed whatever they are."""
+    least = -1e-6
+    for axis in range(3):
+        for end in (0, -1):
+            face = np.moveaxis(values, axis, 0)[end]
+            np.minimum(face, least, out=face)
+    return values
 
 
 def _indicator(samples: OrientedPoints, at_points: csr_array, shape: tuple[int, ...], cell: float) -> FloatArray:
     """Solve for the indicator on the grid's nodes; lengths are in cells."""
+    source, squared = gradient_source(at_points, samples, shape, cell)
+    right = fft.irfftn(source, s=shape)
+    del source
     area = samples.area / cell**2
-    frequency = np.meshgrid(
-        *(2 * np.pi * fft.fftfreq(size) for size in shape[:2]), 2 * np.pi * fft.rfftfreq(shape[2]), indexing="ij"
-    )
-    squared = sum(axis * axis for axis in frequency)
-    smoothing = np.exp(-0.5 * _SMOOTHING_CELLS**2 * squared)
-    # -laplace(indicator) = -div(gradient), with the gradient = -normal at the surface.
-    divergence = np.zeros(squared.shape, np.complex128)
-    for k, axis in enumerate(frequency):
-        field = (at_points.T @ (area * samples.normals[:, k])).reshape(shape)
-        divergence += 1j * axis * fft.rfftn(field) * smoothing
-    del frequency, field
-    right = fft.irfftn(divergence, s=shape)
     pull = _SCREENING * area
     right += (at_points.T @ (0.5 * pull)).reshape(shape)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
 from semscape.compiled import njit
+from semscape.dense.blank import blank
 from semscape.dense.sampling import gaussian_window
 from semscape.dense.stereo import filled_from_nearest
 from semscape.geometry.cameras import camera_matrices
@@ -98,7 +99,7 @@ def unknown_reasons(series: TiltSeries, reconstruction: Reconstruction, height_m
             (imaged, shown),
             (seen, open_to_view),
             (exposed, unsaturated),
-            (textured, unsaturated & _textured(view, view_from_grid[:, 2])[y, x]),
+            (textured, unsaturated & (_textured(view, view_from_grid[:, 2]) & ~blank(view))[y, x]),
         ):
             count += holds
     reason[unknown] = np.select(

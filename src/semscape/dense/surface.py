@@ -9,6 +9,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from semscape.dense.blank import without_blank
 from semscape.dense.bridge import without_specks
 from semscape.dense.evidence import refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
@@ -66,6 +67,7 @@ def dense_surface(
     DegenerateGeometryError
         When no two views differ enough in tilt.
     """
+    series = without_blank(series)
     frame = rectified_frame(series, reconstruction)
     pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
     if not pairs:

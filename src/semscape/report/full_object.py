@@ -127,7 +127,7 @@ def _figures(
             for index, (placed, height_scale) in enumerate(zip(found.maps, height_scales, strict=True))
         ],
         "contradictions": list(motion.contradictions),
-        "warnings": list(motion.doubts),
+        "warnings": list(found.warnings),
         "failures": list(failures),
         "stages": [
             {"name": s.name, "seconds": s.seconds, "peak_memory_mb": s.peak_memory_mb, "figures": s.figures}
