@@ -71,3 +71,13 @@ def test_pairs_are_wide_few_and_hold_every_view() -> None:
     assert choose_pairs(np.zeros(3), 6) == []
     # Views that differ too much no longer look alike.
     assert (0, 2) not in choose_pairs(np.deg2rad([-25.0, 0.0, 25.0]), 2)
+
+
+def test_pairs_of_a_wide_series_lie_about_zero_tilt_on_both_sides() -> None:
+    tilts = np.deg2rad(np.arange(-60.0, 61.0, 10.0))
+    wrong = np.random.default_rng(0).normal(0, np.deg2rad(0.1), len(tilts))
+    for found in (choose_pairs(tilts, 4), choose_pairs(tilts + wrong, 4)):
+        assert {round(np.rad2deg(tilts[j] - tilts[i])) for i, j in found} == {30}
+        middle = [np.rad2deg(tilts[i] + tilts[j]) / 2 for i, j in found]
+        assert min(middle) < 0 < max(middle)
+        assert np.abs(np.mean(middle)) <= 10

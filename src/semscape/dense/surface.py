@@ -25,7 +25,8 @@ from semscape.options import DenseOptions
 from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, TiltSeries
 
 _LEAST_BASELINE = 0.01
-_WIDEST_TILT_RAD = np.deg2rad(30.0)
+# A little more than a stage's round steps of 30 deg.
+_WIDEST_TILT_RAD = np.deg2rad(32.0)
 # On either side of the sparse heights; of their range or, if that is larger, of the field, for smooth things that stand
 # free hold no sparse point under wide tilts. Wider ones find more false heights where texture is weak.
 _RANGE_MARGIN = 0.15
@@ -86,20 +87,23 @@ def dense_surface(
 
 
 def choose_pairs(tilt_rad: FloatArray, max_pairs: int) -> list[tuple[int, int]]:
-    """Choose the pairs that carry the most height information: the widest that still look alike, each view once."""
-    spread = {
-        (i, j): abs(float(np.tan(tilt_rad[j]) - np.tan(tilt_rad[i]))) for i, j in combinations(range(len(tilt_rad)), 2)
-    }
-    usable = [
-        pair
-        for pair, baseline in spread.items()
-        if baseline > _LEAST_BASELINE and abs(tilt_rad[pair[1]] - tilt_rad[pair[0]]) <= _WIDEST_TILT_RAD
-    ]
-    if not usable and spread:
-        usable = [pair for pair, baseline in spread.items() if baseline > _LEAST_BASELINE]
-    ranked = sorted(usable, key=lambda pair: (-spread[pair], pair))
-    chosen: list[tuple[int, int]] = []
-    for view in range(len(tilt_rad)):
+    """Choose the pairs that carry the most height information: wide ones, of views that still look alike.
+
+    The widest of all, then each view's widest, from the most level view outwards: that sees most of the grid at zero
+    tilt. Of equally wide ones the more level is taken.
+    """
+    tilt = np.asarray(tilt_rad, np.float64)
+    spread = {(i, j): abs(float(np.tan(tilt[j]) - np.tan(tilt[i]))) for i, j in combinations(range(len(tilt)), 2)}
+    parallax = [pair for pair, baseline in spread.items() if baseline > _LEAST_BASELINE]
+    alike = [(i, j) for i, j in parallax if abs(tilt[j] - tilt[i]) <= _WIDEST_TILT_RAD]
+
+    def rank(pair: tuple[int, int]) -> tuple[float, float, tuple[int, int]]:
+        i, j = pair
+        return -round(abs(float(tilt[j] - tilt[i])), 6), round(abs(float(tilt[j] + tilt[i])), 6), pair
+
+    ranked = sorted(alike or parallax, key=rank)
+    chosen = ranked[:1]
+    for view in np.argsort(np.abs(tilt), kind="stable"):
         widest = next((pair for pair in ranked if view in pair), None)
         if widest is not None and widest not in chosen:
             chosen.append(widest)
