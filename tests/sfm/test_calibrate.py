@@ -10,7 +10,8 @@ import pytest
 from semscape.errors import BadInputError, DegenerateGeometryError, TooFewMatchesError
 from semscape.options import SfmOptions
 from semscape.sfm.calibrate import Calibration, calibrate
-from semscape.sfm.plausibility import require_one_axis, require_tilts, shared_points
+from semscape.sfm.parallax import shared_points
+from semscape.sfm.plausibility import require_one_axis, require_tilts
 from semscape.sfm.relief import relief_vote
 from semscape.types import Observations
 from synthetic_tracks import PIXEL_UM, SIZE_PX, Tracks, make_tracks, relief_px

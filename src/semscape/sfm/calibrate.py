@@ -24,13 +24,13 @@ from semscape.sfm.drift import ScanDrift, fit_drift
 from semscape.sfm.evolve import Evolution, evolve, search
 from semscape.sfm.models import PARAMETERS_PER_VIEW, TiltSeriesModel
 from semscape.sfm.noise import residual_overdispersion, without_outliers
+from semscape.sfm.parallax import lonely_parallax, require_parallax
 from semscape.sfm.perspective import PerspectiveFit, fit_perspective
 from semscape.sfm.plausibility import (
     height_scale_warnings,
     perspective_warnings,
     prior_contradictions,
     require_one_axis,
-    require_parallax,
     require_tilts,
     stage_contradictions,
 )
@@ -147,7 +147,7 @@ def calibrate(
         if _is_taken(perspective, relief.sign, options):
             kept, final = perspective.observations, perspective.adjustment
             no_parallax = require_parallax(series, kept, prior)  # perspective had spread the points both ways
-    doubts = no_parallax + doubts
+    doubts = (no_parallax or lonely_parallax(series, kept, prior, final.parameters[0])) + doubts
 
     def found_without(views: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return the tilts and their covariance as found without the stage's readings of some views."""

@@ -7,16 +7,12 @@ from itertools import combinations
 
 import numpy as np
 
-from semscape.errors import BadInputError, DegenerateGeometryError
+from semscape.errors import BadInputError
 from semscape.sfm.eliminated import PatternScatters, eliminated_cost, projection_matrices
 from semscape.sfm.priors import MotionPrior
-from semscape.types import BoolArray, FloatArray, IntArray, Observations, TiltSeries
+from semscape.types import BoolArray, FloatArray, IntArray, TiltSeries
 
 _MOST_ROTATION_RAD = np.deg2rad(5.0)
-_LEAST_PARALLAX_PX = 0.5
-_PARALLAX_OVER_NOISE = 2.0
-_LEAST_SHARED = 8
-_LEAST_TILT_SPAN_DEG = 0.2
 _WIDE_HEIGHT_SCALE = 0.05
 _CONTRADICTION_IN_SIGMAS = 3.0
 _WORSE_THAN_FREE = 1.4
@@ -71,73 +67,6 @@ def require_one_axis(series: TiltSeries) -> None:
             "one axis. Leave the rotated views out, or correct stage_rotation_deg in series.toml. Views all around a "
             "specimen, three tilts at each rotation, become one closed surface with --full-object"
         )
-
-
-def require_parallax(series: TiltSeries, observations: Observations, prior: MotionPrior) -> list[str]:
-    """Look for parallax; refuse views without it, unless the stage gives their tilts.
-
-    Returns
-    -------
-    list of str
-        What is doubtful: views without parallax whose tilts are told.
-
-    Raises
-    ------
-    DegenerateGeometryError
-        When the views differ by no more than an affine map and nothing tells their tilts, or the told ones are equal.
-    """
-    if not prior.self_calibrated:
-        span = float(np.rad2deg(np.nanmax(prior.tilt_rad) - np.nanmin(prior.tilt_rad)))
-        if span < _LEAST_TILT_SPAN_DEG:
-            raise DegenerateGeometryError(
-                f"the stage tilts span {span:.2f} deg, need {_LEAST_TILT_SPAN_DEG}: without a change of tilt there is "
-                "no parallax, so no height"
-            )
-    spreads = [_spread_px(observations, i1, i2) for i1, i2 in combinations(range(series.n_views), 2)]
-    if any(_is_parallax(*spread) for spread in spreads):
-        return []
-    along, across = max(spreads, key=lambda spread: spread[0] ** 2 - spread[1] ** 2)
-    finding = (
-        f"no parallax: about a common affine map the points of any two of {series.n_views} views spread by at most "
-        f"{along:.2f} px rms along one direction, and by {across:.2f} px of noise across it; needed are "
-        f"{_LEAST_PARALLAX_PX} px beyond the noise. The images are the same picture, the specimen is flat, or the "
-        "tilts are too small"
-    )
-    if prior.self_calibrated:
-        raise DegenerateGeometryError(
-            f"{finding}; from such images no tilt can be found (self-calibration is impossible): give the stage tilts "
-            "(--tilts) or tilt farther"
-        )
-    return [finding]
-
-
-def _spread_px(observations: Observations, i1: int, i2: int) -> tuple[float, float]:
-    """Return how far the points of two views spread about the affine map between them, in px rms.
-
-    Parallax acts along one direction, noise along both: the spread along the widest direction and across it.
-    """
-    xy1, xy2 = shared_points(observations, i1, i2)
-    if len(xy1) < _LEAST_SHARED:
-        return 0.0, 0.0
-    design = np.column_stack([xy1 - xy1.mean(axis=0), np.ones(len(xy1))])
-    solution, *_ = np.linalg.lstsq(design, xy2, rcond=None)
-    residual = xy2 - design @ solution
-    length = np.linalg.norm(residual, axis=1)
-    residual = residual[length <= 5 * np.median(length) + 1e-12]
-    across, along = np.sqrt(np.maximum(np.linalg.eigvalsh(residual.T @ residual / len(residual)), 0.0))
-    return float(along), float(across)
-
-
-def _is_parallax(along_px: float, across_px: float) -> bool:
-    beyond_noise = along_px**2 - across_px**2
-    return beyond_noise >= _LEAST_PARALLAX_PX**2 and along_px**2 > _PARALLAX_OVER_NOISE * across_px**2
-
-
-def shared_points(observations: Observations, i1: int, i2: int) -> tuple[FloatArray, FloatArray]:
-    """Return the px points (S, 2) in views i1 and i2 of the tracks that both see."""
-    in1, in2 = observations.view == i1, observations.view == i2
-    _, at1, at2 = np.intersect1d(observations.point[in1], observations.point[in2], return_indices=True)
-    return observations.xy[in1][at1], observations.xy[in2][at2]
 
 
 def height_scale_warnings(height_scale_sigma: float, prior: MotionPrior) -> list[str]:

@@ -18,7 +18,7 @@ from semscape.compiled import njit
 from semscape.options import SfmOptions
 from semscape.sfm.calibrate import Calibration, calibrate
 from semscape.sfm.models import PARAMETERS_PER_VIEW
-from semscape.sfm.plausibility import shared_points
+from semscape.sfm.parallax import shared_points
 from semscape.types import FloatArray, Micrograph, Observations, TiltSeries
 
 _LEAST_SHARED = 8
