@@ -1,7 +1,7 @@
 """The rivals: OpenCV's StereoSGBM and DIS flow on the widest pair, rectified and triangulated with our own cameras.
 
-They get everything but the matching for free: our calibration, our rectified frame and our height range. So the
-difference to ours is that of the dense stage alone: all views, fusion and refinement against one pair.
+They get everything but the matching for free: our calibration, our rectified frame and the range of our sparse heights. So
+the difference to ours is that of the dense stage alone: all views, fusion and refinement against one pair.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ def sgbm_height_map(result: Result) -> HeightMap:
     baseline = float(frame.parallax[last] - frame.parallax[first])
 
     # A height h is seen at u + h g, so OpenCV's disparity u1 - u2 is -h baseline; the baseline has a sign.
-    low, high = sorted(height * baseline for height in height_range_px(result.reconstruction, frame))
+    # A wider range than that of the sparse points costs it time and makes it err more.
+    heights = height_range_px(result.reconstruction, frame, beyond_points=False)
+    low, high = sorted(height * baseline for height in heights)
     least = int(np.floor(-high)) - _MARGIN_PX
     count = int(np.ceil((high - low + 2 * _MARGIN_PX) / _SUBPIXEL_STEPS)) * _SUBPIXEL_STEPS
     matcher = cv2.StereoSGBM.create(

@@ -121,10 +121,13 @@ def _pair_at_zero_tilt(
     return to_zero_tilt(pair_heights(view1, view2, height_range_px, options), view1.parallax)
 
 
-def height_range_px(reconstruction: Reconstruction, frame: Frame) -> tuple[float, float]:
-    """Return the range of the sparse heights, without their last outliers, widened by a margin on each side."""
+def height_range_px(reconstruction: Reconstruction, frame: Frame, *, beyond_points: bool = True) -> tuple[float, float]:
+    """Return the range of the sparse heights, without their last outliers, widened by a margin on each side.
+
+    With `beyond_points` the margin is no less than a share of the field, for things without sparse points.
+    """
     low, high = np.percentile(reconstruction.points_um[:, 2], [0.2, 99.8]) / frame.pixel_size_um
-    margin = _RANGE_MARGIN * max(high - low, min(frame.shape))
+    margin = _RANGE_MARGIN * max(high - low, min(frame.shape) if beyond_points else 0.0)
     return float(low - margin), float(high + margin)
 
 
