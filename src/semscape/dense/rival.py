@@ -1,7 +1,7 @@
 """The rivals: OpenCV's StereoSGBM and DIS flow on the widest pair, rectified and triangulated with our own cameras.
 
-They get everything but the matching for free: our calibration, our rectified frame and the range of our sparse heights. So
-the difference to ours is that of the dense stage alone: all views, fusion and refinement against one pair.
+They get everything but the matching for free: our calibration, our rectified frame and the range of our sparse
+heights. So the difference to ours is that of the dense stage alone: all views, fusion and refinement against one pair.
 """
 
 from __future__ import annotations
