@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.compiled import njit
-from semscape.dense.evidence import RefinedHeights
+from semscape.dense.evidence import SPECK_PX, RefinedHeights, specks
 from semscape.dense.given import JUMP_PX, median_of
 from semscape.dense.stereo import filled_from_nearest
 from semscape.types import BoolArray, FloatArray, ImageArray
 
-_SPECK_PX = 5
 # Slopes are told from heights so far apart.
 _SLOPE_PX = 3
 # Nearer to a jump than this even known heights err by more than they say.
@@ -63,7 +62,7 @@ def without_specks(refined: RefinedHeights, baseline: float) -> RefinedHeights:
     limit = JUMP_PX / baseline
     height, uncertainty, period = refined.height.copy(), refined.uncertainty.copy(), refined.lateral_period_px.copy()
     n_views, share = refined.n_views.copy(), refined.slow_share.copy()
-    rows, cols = np.nonzero(_specks(~known))
+    rows, cols = np.nonzero(specks(~known))
     _bridge(known, rows, cols, limit, height, uncertainty, n_views, period, share)
     # What is left unknown between heights that differ by a jump shows as one now.
     wrong = ~known & _near_jumps(median_of(filled_from_nearest(height)), limit)
@@ -73,12 +72,6 @@ def without_specks(refined: RefinedHeights, baseline: float) -> RefinedHeights:
     return replace(
         refined, height=height, uncertainty=uncertainty, n_views=n_views, lateral_period_px=period, slow_share=share
     )
-
-
-def _specks(unknown: BoolArray) -> BoolArray:
-    square = np.ones((_SPECK_PX, _SPECK_PX), np.uint8)
-    specks: BoolArray = unknown & (cv2.morphologyEx(unknown.astype(np.uint8), cv2.MORPH_OPEN, square) == 0)
-    return specks
 
 
 def _near_jumps(height: FloatArray, limit: float) -> BoolArray:
@@ -135,7 +128,7 @@ def _bridge(
 @njit(cache=True, nogil=True)
 def _away(known: BoolArray, row: int, col: int, down: int, right: int) -> int:  # pragma: no cover - compiled
     """Return how many steps away the next known height is, 0 where none is near enough."""
-    for far in range(1, _SPECK_PX):
+    for far in range(1, SPECK_PX):
         r, c = row + far * down, col + far * right
         if not (0 <= r < known.shape[0] and 0 <= c < known.shape[1]):
             return 0

@@ -47,7 +47,7 @@ _WIDTHS_PX = (1.5, 3.0, 6.0, 12.0)
 _ALL_AGREE = 0.5
 _LEAST_SAMPLE = 1000
 _SAMPLED_PX = 2
-_SPIKE_PX = 5
+SPECK_PX = 5
 _MAX_STEP_PX = 0.5
 # Beside a jump: how far the views' windows reach, and over what they are asked again.
 _BESIDE_PX = 6
@@ -117,7 +117,7 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views, *, mapper: 
         return RefinedHeights(start, start, np.zeros(start.shape, np.uint8), nothing, 0.0, nothing)
     base = views.baseline
     given = without_spikes(filled_from_nearest(start), JUMP_PX / base)
-    known |= _specks(~known) & ~_spans(given, 2 * JUMP_PX / base)
+    known |= specks(~known) & ~_spans(given, 2 * JUMP_PX / base)
     table = LatticeTable()
     first = smoothed(given, known, base, table)
     held, cut, height, prior = first.stiffness, first.cut, first.height, first.prior
@@ -163,16 +163,16 @@ def without_islands(height: FloatArray, baseline: float) -> FloatArray:
     return without_speckles(height * baseline, island_px) / baseline
 
 
-def _specks(unknown: BoolArray) -> BoolArray:
+def specks(unknown: BoolArray) -> BoolArray:
     """Return what of the unknown pixels (H, W) holds no square of 5 x 5 px."""
-    square = np.ones((_SPIKE_PX, _SPIKE_PX), np.uint8)
-    specks: BoolArray = unknown & (cv2.morphologyEx(unknown.astype(np.uint8), cv2.MORPH_OPEN, square) == 0)
-    return specks
+    square = np.ones((SPECK_PX, SPECK_PX), np.uint8)
+    small: BoolArray = unknown & (cv2.morphologyEx(unknown.astype(np.uint8), cv2.MORPH_OPEN, square) == 0)
+    return small
 
 
 def _spans(height: FloatArray, limit: float) -> BoolArray:
     """Return where heights (H, W) span more than `limit` over 5 x 5 px: beside a jump the unknown is hidden ground."""
-    square = np.ones((_SPIKE_PX, _SPIKE_PX), np.uint8)
+    square = np.ones((SPECK_PX, SPECK_PX), np.uint8)
     spans: BoolArray = cv2.dilate(height, square) - cv2.erode(height, square) > limit
     return spans
 
