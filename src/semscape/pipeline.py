@@ -108,6 +108,7 @@ def reconstruct(
     stages = _Stages(progress)
     require_tilts(series)
     require_one_axis(series)
+    elsewhere = mapper is not None
     with nullcontext(mapper) if mapper else local_mapper(workers) as mapper:
         with stages("detect") as figures:
             find = partial(detect, options=options.features)
@@ -143,7 +144,8 @@ def reconstruct(
             figures["camera"], figures["camera_margin"] = reconstruction.camera, reconstruction.camera_margin
 
         with stages("surface") as figures:
-            surface = keep("surface", lambda: surface_in_tiles(series, reconstruction, options.dense, mapper=mapper))
+            side_by_side = {"mapper": mapper, "threads": map if elsewhere else mapper}
+            surface = keep("surface", lambda: surface_in_tiles(series, reconstruction, options.dense, **side_by_side))
             figures["completeness"] = float(np.isfinite(surface.height_map.height_um).mean())
             figures["pairs"] = [list(pair) for pair in surface.pairs]
 

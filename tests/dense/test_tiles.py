@@ -139,13 +139,10 @@ def test_no_seam_between_tiles_that_err_apart(monkeypatch: pytest.MonkeyPatch) -
     assert 0 < np.abs(right).max() < 0.4 / 64
 
 
-def by_bytes(function: Any, *items: Any) -> Any:
+def by_bytes(function: Any, items: Any) -> Any:
     """Return what another process would: function and items as bytes there, the values as bytes back."""
     sent = pickle.dumps(function)
-    return [
-        pickle.loads(pickle.dumps(pickle.loads(sent)(*pickle.loads(pickle.dumps(given)))))
-        for given in zip(*items, strict=True)
-    ]
+    return [pickle.loads(pickle.dumps(pickle.loads(sent)(pickle.loads(pickle.dumps(item))))) for item in items]
 
 
 @pytest.mark.parametrize("tile_px", [0, 160])
@@ -154,7 +151,8 @@ def test_who_computes_the_surface_changes_nothing(way: str, tile_px: int) -> Non
     one = found(tile_px)
     with ThreadPoolExecutor(3) as pool:
         mapper = pool.map if way == "threads" else by_bytes
-        other = surface_in_tiles(*calibrated(), DenseOptions(tile_px=tile_px), mapper=mapper).height_map
+        options = DenseOptions(tile_px=tile_px)
+        other = surface_in_tiles(*calibrated(), options, mapper=mapper, threads=pool.map).height_map
     for plane in ("height_um", "uncertainty_um", "n_views", "texture", "reason", "specimen"):
         assert np.array_equal(getattr(one, plane), getattr(other, plane), equal_nan=plane not in ("specimen",)), plane
 

@@ -5,5 +5,5 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-# Like `map`: in order, and with any number of iterables. Functions and what they take can be pickled.
+# Like `map`, in order. One that may run in other processes takes one iterable, and what can be pickled.
 Mapper = Callable[..., Iterable[Any]]

@@ -50,7 +50,12 @@ class DenseSurface:
 
 
 def dense_surface(
-    series: TiltSeries, reconstruction: Reconstruction, options: DenseOptions, *, mapper: Mapper = map
+    series: TiltSeries,
+    reconstruction: Reconstruction,
+    options: DenseOptions,
+    *,
+    mapper: Mapper = map,
+    threads: Mapper = map,
 ) -> DenseSurface:
     """Compute the height map of a calibrated series on the reference view's grid at zero tilt.
 
@@ -61,7 +66,9 @@ def dense_surface(
         Of the same views.
     options : DenseOptions
     mapper : callable
-        `map`, or one that runs parts side by side; the result does not depend on it.
+        `map`, or one that runs pairs side by side, in other processes if need be; the result does not depend on it.
+    threads : callable
+        `map`, or one that runs smaller parts side by side in this process; nor on this.
 
     Raises
     ------
@@ -82,7 +89,7 @@ def dense_surface(
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
     del views, heights  # the refinement needs the memory
-    height_map, shared_um2, times = _refined_map(series, reconstruction, frame, fused, mapper)
+    height_map, shared_um2, times = _refined_map(series, reconstruction, frame, fused, threads)
     return DenseSurface(height_map, tuple(pairs), shared_um2, times)
 
 
@@ -132,7 +139,7 @@ def height_range_px(reconstruction: Reconstruction, frame: Frame, *, beyond_poin
 
 
 def _refined_map(
-    series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray, mapper: Mapper
+    series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray, threads: Mapper
 ) -> tuple[HeightMap, float, ImageArray]:
     pixel_size = grid_pixel_size_um(series, reconstruction)
     rows, columns = series.shape
@@ -155,8 +162,8 @@ def _refined_map(
         return Views(samplers, parallax, reconstruction.reference)
 
     looked = views(_PRESMOOTH_PX)
-    sharp_px = sharpen_jumps(start_px, looked, mapper=mapper)
-    found = refine_by_evidence(sharp_px, looked, views(_AGREEMENT_PRESMOOTH_PX), mapper=mapper)
+    sharp_px = sharpen_jumps(start_px, looked, mapper=threads)
+    found = refine_by_evidence(sharp_px, looked, views(_AGREEMENT_PRESMOOTH_PX), mapper=threads)
     refined = without_specks(found, looked.baseline)
     height_map = HeightMap(
         height_um=refined.height * pixel_size,

@@ -58,7 +58,12 @@ class _Tile:
 
 
 def surface_in_tiles(
-    series: TiltSeries, reconstruction: Reconstruction, options: DenseOptions, *, mapper: Mapper = map
+    series: TiltSeries,
+    reconstruction: Reconstruction,
+    options: DenseOptions,
+    *,
+    mapper: Mapper = map,
+    threads: Mapper = map,
 ) -> DenseSurface:
     """Compute the height map of a calibrated series, a large one in tiles.
 
@@ -72,6 +77,8 @@ def surface_in_tiles(
         is one piece; with 0 it is, whatever its size.
     mapper : callable
         `map`, or one that runs the tiles side by side, in other processes if need be; the result does not depend on it.
+    threads : callable
+        `map`, or one that runs parts of one piece side by side in this process; nor on this.
 
     Raises
     ------
@@ -82,7 +89,7 @@ def surface_in_tiles(
     whole = max(series.shape) <= _WHOLE_IN_TILES * options.tile_px
     rows, columns = (_edges(size, 0 if whole else options.tile_px) for size in series.shape)
     if len(rows) == len(columns) == 2:
-        found = dense_surface(series, reconstruction, options, mapper=mapper)
+        found = dense_surface(series, reconstruction, options, mapper=mapper, threads=threads)
     else:
         places = [(slice(*r), slice(*c)) for r, c in product(pairwise(rows), pairwise(columns))]
         fade_px = min(_FADE_PX, *(int(np.diff(edges).min()) // 2 for edges in (rows, columns)))
