@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from semscape.compiled import njit
 from semscape.dense.evidence import SPECK_PX, RefinedHeights, specks
-from semscape.dense.given import JUMP_PX, median_of
+from semscape.dense.given import JUMP_PX, median_of, near_jumps
 from semscape.dense.stereo import filled_from_nearest
 from semscape.types import BoolArray, FloatArray, ImageArray
 
@@ -65,23 +64,13 @@ def without_specks(refined: RefinedHeights, baseline: float) -> RefinedHeights:
     rows, cols = np.nonzero(specks(~known))
     _bridge(known, rows, cols, limit, height, uncertainty, n_views, period, share)
     # What is left unknown between heights that differ by a jump shows as one now.
-    wrong = ~known & _near_jumps(median_of(filled_from_nearest(height)), limit)
+    wrong = ~known & near_jumps(median_of(filled_from_nearest(height)), limit, _FROM_JUMP_PX)
     for plane in (height, uncertainty, period, share):
         plane[wrong] = np.nan
     n_views[wrong] = 0
     return replace(
         refined, height=height, uncertainty=uncertainty, n_views=n_views, lateral_period_px=period, slow_share=share
     )
-
-
-def _near_jumps(height: FloatArray, limit: float) -> BoolArray:
-    """Return where heights (H, W), none of them NaN, step by more than the limit within a few px."""
-    jump = np.zeros(height.shape, np.uint8)
-    jump[:, 1:] |= np.abs(np.diff(height, axis=1)) > limit
-    jump[1:] |= np.abs(np.diff(height, axis=0)) > limit
-    side = 2 * _FROM_JUMP_PX + 1
-    near: BoolArray = cv2.dilate(jump, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))) > 0
-    return near
 
 
 @njit(cache=True, nogil=True)

@@ -85,3 +85,20 @@ def without_spikes(height: FloatArray, limit: float) -> FloatArray:
 def median_of(height: FloatArray) -> FloatArray:
     """Return the median of each 5 x 5 px of heights (H, W), none of them NaN."""
     return np.asarray(cv2.medianBlur(height.astype(np.float32), _SPIKE_PX), np.float64)
+
+
+def near_jumps(height: FloatArray, limit: float, reach_px: int) -> BoolArray:
+    """Return where heights (H, W), none of them NaN, step by more than the limit within so many px.
+
+    Examples
+    --------
+    >>> wall = np.where(np.arange(10) < 5, 0.0, 8.0) * np.ones((10, 1))
+    >>> near_jumps(wall, 1.0, 2)[5].astype(int)
+    array([0, 0, 0, 1, 1, 1, 1, 1, 0, 0])
+    """
+    jump = np.zeros(height.shape, np.uint8)
+    jump[:, 1:] |= np.abs(np.diff(height, axis=1)) > limit
+    jump[1:] |= np.abs(np.diff(height, axis=0)) > limit
+    side = 2 * reach_px + 1
+    near: BoolArray = cv2.dilate(jump, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))) > 0
+    return near

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.dense.consistency import compare_views
-from semscape.dense.given import JUMP_PX, median_of, smoothed, without_spikes
+from semscape.dense.given import JUMP_PX, median_of, near_jumps, smoothed, without_spikes
 from semscape.dense.posterior import LatticeTable
 from semscape.dense.sampling import ViewSampler, gaussian_window
 from semscape.dense.semi_global import least_cost
@@ -210,11 +210,7 @@ def _apart_from_jumps(height: FloatArray, baseline: float) -> ImageArray:
 
     Else the whole window around sees the views differ as the jump does.
     """
-    jump = np.zeros(height.shape, np.uint8)
-    jump[:, 1:] |= np.abs(np.diff(height, axis=1)) * baseline > JUMP_PX
-    jump[1:] |= np.abs(np.diff(height, axis=0)) * baseline > JUMP_PX
-    side = 2 * _BESIDE_PX + 1
-    beside = cv2.dilate(jump, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))) > 0
+    beside = near_jumps(height, JUMP_PX / baseline, _BESIDE_PX)
     return np.where(beside, np.float32(_BESIDE_SHARE), np.float32(1))
 
 
