@@ -169,11 +169,17 @@ def test_images_of_three_specimens(images: Path, tmp_path: Path) -> None:
 
 
 def test_two_views_left_of_three_without_tilts(images: Path, tmp_path: Path) -> None:
-    """What is left after a stranger is put out must pass the same gate as what was given."""
-    stranger, _ = simulate("pollen", MICROSCOPE, rng=5)
-    tifffile.imwrite(images / "c.tif", stranger.views[1].image.astype(np.uint8))
-    done = reconstruct(images, tmp_path / "run")
-    assert_refused(done, 2, "bas-relief", output=tmp_path / "run")
+    """What is left after strangers are put out passes the same gate as what was given, and they are named."""
+    strangers, _ = simulate("pollen", MICROSCOPE, rng=5)
+    tifffile.imwrite(images / "c.tif", strangers.views[0].image.astype(np.uint8))
+    left_out = "left out, because no match ties them to the other views: "
+    run = tmp_path / "run"
+    done = reconstruct(images, run)
+    assert_refused(done, 2, f"{left_out}c.tif (another", "(a.tif, b.tif)", "bas-relief", output=run)
+    # Strangers that match each other are no less strangers.
+    tifffile.imwrite(images / "d.tif", strangers.views[2].image.astype(np.uint8))
+    done = reconstruct(images, run)
+    assert_refused(done, 2, f"{left_out}c.tif, d.tif (another", "bas-relief", output=run)
 
 
 def test_pure_noise(images: Path, tmp_path: Path) -> None:

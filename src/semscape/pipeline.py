@@ -322,11 +322,10 @@ def _connected(
         )
     if len(kept) == series.n_views:
         return series, keypoints, matches, geometries
-    left_out = [name for index, name in enumerate(series.names) if index not in kept]
-    series = series.select(
-        kept, f"left out, because they match no other view: {', '.join(left_out)} (another specimen or field?)"
-    )
-    require_tilts(series)
+    strangers = ", ".join(name for index, name in enumerate(series.names) if index not in kept)
+    left_out = f"left out, because no match ties them to the other views: {strangers} (another specimen or field?)"
+    series = series.select(kept, left_out)
+    require_tilts(series, left_out)
     return series, tuple(keypoints[i] for i in kept), *renumber(matches, geometries, kept)
 
 

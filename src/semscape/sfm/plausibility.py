@@ -26,8 +26,14 @@ _WIDEST_FIELD = 0.05
 _HIGHEST_RELIEF = 0.005
 
 
-def require_tilts(series: TiltSeries) -> None:
+def require_tilts(series: TiltSeries, left_out: str = "") -> None:
     """Refuse two views without tilts, which no method can turn into heights.
+
+    Parameters
+    ----------
+    series : TiltSeries
+    left_out : str
+        Why there are no more views, where more were given: who gave three wonders what became of the third.
 
     Raises
     ------
@@ -39,8 +45,9 @@ def require_tilts(series: TiltSeries) -> None:
     Koenderink & van Doorn 1991, doi:10.1364/JOSAA.8.000377.
     """
     if series.n_views == 2 and not np.isfinite(series.tilt_rad).all():
+        given = f"{left_out}; what is left are " if left_out else ""
         raise BadInputError(
-            f"two views ({', '.join(series.names)}) without stage tilts: two parallel projections show the same "
+            f"{given}two views ({', '.join(series.names)}) without stage tilts: two parallel projections show the same "
             "pictures for a low relief tilted far and a high relief tilted little (bas-relief ambiguity), so no "
             "height can be computed. Give the tilts (--tilts -3,3, or tilts_deg in series.toml), or add a third view"
         )
