@@ -66,6 +66,14 @@ def test_told_tilts_of_a_flat_specimen_carry_a_warning(flat: Path) -> None:
     assert height < 0.15 * MICROSCOPE.width_px  # px: pits and hills of noise at most
 
 
+def test_tilts_that_are_wrong_by_far_are_named_before_the_axis_they_have_turned(tmp_path: Path) -> None:
+    done, run = reconstruct(images(tmp_path / "images", "fracture", (-5.0, 0.0, 5.0)), "--tilts=-40,0,40")
+    assert done.exit_code == 0, done.output
+    verdict = json.loads((run / "report.json").read_text(encoding="utf-8"))["verdict"]
+    assert verdict.startswith("do not measure: the images contradict what was told of them. the tilts -40.0, 0.0, 40.0")
+    assert "swapped files or a wrong axis?" in verdict
+
+
 def test_too_small_a_tilt_range_is_refused_or_warned_of(tmp_path: Path) -> None:
     small = images(tmp_path / "small", "fracture", (-1.0, 0.0, 1.0))
     done, _ = reconstruct(small, "--tilts=-0.05,0,0.05")

@@ -45,6 +45,14 @@ def doubts(
     return lonely_parallax(series, observations, motion_prior(series, SfmOptions()), np.deg2rad(axis_deg))
 
 
+def given_axis(series: TiltSeries, axis_deg: float) -> TiltSeries:
+    views = [
+        replace(view, metadata=replace(view.metadata, tilt_axis_angle_rad=np.deg2rad(axis_deg)))
+        for view in series.views
+    ]
+    return replace(series, views=tuple(views))
+
+
 def with_wrong_matches(observations: Observations, view: int) -> Observations:
     """Return the same with 15 % of the matches of a view shifted, all alike: another place of the same look."""
     xy = observations.xy.copy()
@@ -65,12 +73,21 @@ def test_wrong_matches_of_one_view_make_no_relief_of_a_plane() -> None:
     # They run along (4, 3), downwards: across an axis at 53 deg.
     (doubt,) = doubts(TILTS_DEG, with_wrong_matches(seen(TILTS_DEG, relief_px=0.0), view=1), axis_deg=53.0)
     assert f"parallax without support: {NAMES[1]} and {NAMES[4]} differ across the tilt axis (53 deg)" in doubt
-    assert "of the 3 pairs of views tilted at least as far apart only 1 do" in doubt
+    assert "of the 3 pairs of views tilted at least as far apart only 1 does" in doubt
 
 
 def test_an_axis_that_the_parallax_does_not_cross_is_doubted() -> None:
     (doubt,) = doubts(TILTS_DEG, seen(TILTS_DEG, relief_px=30.0), axis_deg=60.0)
     assert "no two views differ across the tilt axis (60 deg) as views of a relief do" in doubt
+    assert "axis given" not in doubt
+
+
+def test_an_axis_that_was_given_may_be_what_is_wrong() -> None:
+    series = given_axis(series_of(TILTS_DEG), 60.0)
+    prior = motion_prior(series, SfmOptions())
+    (doubt,) = lonely_parallax(series, seen(TILTS_DEG, relief_px=30.0), prior, np.deg2rad(60.0))
+    assert "The axis given is wrong, the specimen is nearly flat where it was matched, or matches are wrong" in doubt
+    assert doubt.endswith("Leave the axis out or correct it, or tilt farther")
 
 
 def test_wrong_matches_beside_a_relief_do_not_matter() -> None:

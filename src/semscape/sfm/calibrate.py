@@ -147,7 +147,8 @@ def calibrate(
         if _is_taken(perspective, relief.sign, options):
             kept, final = perspective.observations, perspective.adjustment
             no_parallax = require_parallax(series, kept, prior)  # perspective had spread the points both ways
-    doubts = (no_parallax or lonely_parallax(series, kept, prior, final.parameters[0])) + doubts
+    # Wrong tilts turn the axis as well: what the images say of the tilts is told before what they say of the axis.
+    doubts = no_parallax + doubts + ([] if no_parallax else lonely_parallax(series, kept, prior, final.parameters[0]))
 
     def found_without(views: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return the tilts and their covariance as found without the stage's readings of some views."""

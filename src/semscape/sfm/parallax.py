@@ -136,7 +136,8 @@ def lonely_parallax(series: TiltSeries, observations: Observations, prior: Motio
         (first, second), showing, wider_count = lonely[0]
         finding = (
             f"{series.names[first]} and {series.names[second]} differ across {axis} as views of a relief do, but of "
-            f"the {wider_count} pairs of views tilted at least as far apart only {showing} do"
+            f"the {wider_count} pairs of views tilted at least as far apart only {showing} "
+            f"{'does' if showing == 1 else 'do'}"
         )
     elif any(spread.is_parallax for spread in spreads.values()):
         finding = (
@@ -144,9 +145,14 @@ def lonely_parallax(series: TiltSeries, observations: Observations, prior: Motio
         )
     else:
         return [] if prior.self_calibrated else require_parallax(series, observations, prior)
+    if np.isfinite(prior.axis_sigma_rad):
+        reason = "The axis given is wrong, the"
+        way_out = "Leave the axis out or correct it, or tilt farther"
+    else:
+        reason, way_out = "The", "Tilt farther, or take sharper images"
     return [
-        f"parallax without support: {finding}. The specimen is nearly flat where it was matched, or matches are wrong; "
-        "the axis and all heights rest on them. Tilt farther, or take sharper images"
+        f"parallax without support: {finding}. {reason} specimen is nearly flat where it was matched, or matches are "
+        f"wrong; the axis and all heights rest on them. {way_out}"
     ]
 
 
