@@ -166,7 +166,7 @@ def _ignored_warnings(others: Sequence[Path]) -> list[str]:
     if not names:
         return []
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return [f"ignored: {', '.join(names[:_MOST_NAMED])}{more} (no image suffix)"]
+    return [f"ignored: {', '.join(names[:_MOST_NAMED])}{more} (read are {', '.join(IMAGE_SUFFIXES)})"]
 
 
 def _require_one_size(folder: Path, views: Sequence[Micrograph]) -> None:
