@@ -208,6 +208,18 @@ def test_inspect_shows_each_value_with_its_source(images: Path) -> None:
     assert "3 views of 64 × 48 px" in done.stdout
     assert "-7° (user)" in done.stdout
     assert "lengths will be in px" in done.stdout
+    assert "no tilts" not in done.stdout
+
+
+def test_inspect_says_what_becomes_of_views_without_tilts(images: Path) -> None:
+    assert "no tilts: found from the images" in run("inspect", images).stdout
+    (images / "c.tif").unlink()
+    done = run("inspect", images)
+    assert done.exit_code == 0
+    assert "warning: two views (a.tif, b.tif) without stage tilts" in done.stdout
+    assert "no tilts" not in done.stdout
+    assert "bas-relief" in json.loads(run("inspect", images, "--json").stdout)["warnings"][-1]
+    assert "bas-relief" not in run("inspect", images, "--tilts", "-3,3").stdout
 
 
 def test_inspect_speaks_json(images: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -108,6 +109,7 @@ def inspect(
         if write and folder.is_file():
             raise BadInputError(f"{folder}: a series.toml belongs to a folder of images; give the folder")
         series = load_image(folder, options.input) if folder.is_file() else load_series(folder, options.input)
+        series = _with_refusal(series)
         views = describe_series(series)
         if as_json:
             typer.echo(json_text({"views": views, "warnings": series.warnings}), nl=False)
@@ -116,6 +118,18 @@ def inspect(
         if write:
             path = write_series_toml(folder, views, series.warnings)
             typer.echo(f"{path} holds what was understood, as comments; edit it to override anything", err=True)
+
+
+def _with_refusal(series: TiltSeries) -> TiltSeries:
+    """Return the series with a warning of what `reconstruct` refuses: who still sits at the microscope can help it."""
+    from semscape.errors import BadInputError
+    from semscape.sfm.plausibility import require_tilts
+
+    try:
+        require_tilts(series)
+    except BadInputError as refusal:
+        return replace(series, warnings=(*series.warnings, str(refusal)))
+    return series
 
 
 def run_into(folder: Path, output: Path, options: Options, *, workers: int | None, quiet: bool, lines: bool) -> None:

@@ -133,6 +133,8 @@ def print_inspection(folder: str, series: TiltSeries, views: Sequence[Mapping[st
         print_line(f"{views[0]['name']}: {'; '.join(told)}", console)
     if series.length_unit == "px":
         print_line("no pixel size: lengths will be in px; give --pixel-size-um for um", console)
+    if series.n_views > 2 and not any(view["tilt_deg"] is not None for view in views):
+        print_line("no tilts: found from the images, which tell the height scale only roughly; give --tilts", console)
     for warning in series.warnings:
         print_line(f"warning: {warning}", console, "yellow")
 
