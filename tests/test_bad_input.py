@@ -1,4 +1,4 @@
-"""Every bad input of the issue's list through the command line: its exit code, its message, and no run left behind."""
+"""Bad input of every kind through the command line: its exit code, its message, and no run left behind."""
 
 from __future__ import annotations
 

@@ -218,7 +218,7 @@ def test_all_products_agree_with_each_other(run_folder: Path) -> None:
     assert abs(np.nanmedian(difference)) < 0.5 * height_map.pixel_size_um
 
 
-def test_the_report_holds_what_the_issue_asks_for(folder: Path, run_folder: Path) -> None:
+def test_the_report_tells_how_the_result_came_about(folder: Path, run_folder: Path) -> None:
     report = json.loads((run_folder / "report.json").read_text(encoding="utf-8"))
     assert {"views", "pairs", "stages", "warnings", "options", "seed", "versions", "inputs", "metrics"} <= set(report)
     assert [stage["name"] for stage in report["stages"]] == ["detect", "match", "calibrate", "surface", "mesh"]
