@@ -92,6 +92,14 @@ def test_two_images_without_tilts(images: Path, tmp_path: Path) -> None:
     assert_refused(done, 2, "bas-relief", "--tilts", "a.tif", "b.tif", "third view", output=tmp_path / "run")
 
 
+def test_two_images_with_one_tilt(images: Path, tmp_path: Path) -> None:
+    (images / "c.tif").unlink()
+    (images / "series.toml").write_text('[images."a.tif"]\ntilt_deg = -5\n')
+    done = reconstruct(images, tmp_path / "run")
+    assert_refused(done, 2, "(a.tif, b.tif) without a stage tilt of b.tif", "bas-relief", output=tmp_path / "run")
+    assert "estimated from the images" not in done.stderr
+
+
 def test_two_images_with_tilts_are_fine(images: Path, tmp_path: Path) -> None:
     (images / "b.tif").unlink()
     done = reconstruct(images, tmp_path / "run", "--tilts", "-5,5")

@@ -94,7 +94,7 @@ def _credible_tilts(
         )
         return [_without_tilt(view) for view in settled]
     known |= np.isfinite(given_deg) if given_deg else False
-    if 0 < np.count_nonzero(known) < len(names):
+    if 0 < np.count_nonzero(known) < len(names) and len(names) > 2:  # of two views nothing is estimated
         missing = [name for name, is_known in zip(names, known, strict=True) if not is_known]
         warnings.append(f"no tilt is known for {', '.join(missing)}; it is estimated from the images")
     return settled

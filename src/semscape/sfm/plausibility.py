@@ -44,10 +44,12 @@ def require_tilts(series: TiltSeries, left_out: str = "") -> None:
     ----------
     Koenderink & van Doorn 1991, doi:10.1364/JOSAA.8.000377.
     """
-    if series.n_views == 2 and not np.isfinite(series.tilt_rad).all():
+    untold = [name for name, tilt in zip(series.names, series.tilt_rad, strict=True) if not np.isfinite(tilt)]
+    if series.n_views == 2 and untold:
         given = f"{left_out}; what is left are " if left_out else ""
+        without = "without stage tilts" if len(untold) == 2 else f"without a stage tilt of {untold[0]}"
         raise BadInputError(
-            f"{given}two views ({', '.join(series.names)}) without stage tilts: two parallel projections show the same "
+            f"{given}two views ({', '.join(series.names)}) {without}: two parallel projections show the same "
             "pictures for a low relief tilted far and a high relief tilted little (bas-relief ambiguity), so no "
             "height can be computed. Give the tilts (--tilts -3,3, or tilts_deg in series.toml), or add a third view"
         )
