@@ -19,6 +19,8 @@ _FULL_CORRELATION = 0.7
 _LEAST_POWER = 0.05
 
 Stack = NDArray[np.float32]
+# Grey values, their slope along the parallax, and validity, (H, W) each.
+Look = tuple[ImageArray, ImageArray, ImageArray]
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,21 @@ def compare_views(
     mapper: Mapper = map,
 ) -> ComparedViews:
     """Resample all views at heights (H, W), and take out gain and offset over a window of `normalizing_px`."""
+    looks = list(mapper(partial(look_through, height), samplers))
+    return compare_looks(looks, known, parallax, normalizing_px, mapper=mapper)
+
+
+def look_through(height: FloatArray, sampler: ViewSampler) -> Look:
+    """Return what a view shows at heights (H, W): grey values, their slope along the parallax, validity."""
+    return sampler.sample(height)
+
+
+def compare_looks(
+    looks: Sequence[Look], known: BoolArray, parallax: FloatArray, normalizing_px: float, *, mapper: Mapper = map
+) -> ComparedViews:
+    """Compare what views show at one height map, less gain and offset over a window of `normalizing_px`."""
     surface = known.astype(np.float32)
-    planes = mapper(partial(_through_view, height, surface, normalizing_px), samplers)
+    planes = mapper(partial(_normalized, surface, normalizing_px), looks)
     values, slopes, inside = (np.stack(kind) for kind in zip(*planes, strict=True))
     total = np.maximum(inside.sum(axis=0), 1e-3)
     sum_of_all = (values * inside).sum(axis=0)
@@ -76,19 +91,17 @@ def compare_views(
     )
 
 
-def _through_view(
-    height: FloatArray, surface: ImageArray, normalizing_px: float, sampler: ViewSampler
-) -> tuple[ImageArray, ImageArray, ImageArray]:
+def _normalized(surface: ImageArray, normalizing_px: float, look: Look) -> tuple[ImageArray, ImageArray, ImageArray]:
     """Return values and slopes of a view, less its own gain and offset, and where it shows the surface, (H, W)."""
-    value, slope, inside = sampler.sample(height)
+    value, slope, inside = look
     weight: ImageArray = inside * surface
     coverage = np.maximum(gaussian_window(weight, normalizing_px), 1e-3)
     mean = gaussian_window(value * weight, normalizing_px) / coverage
     centred = np.asarray((value - mean) * weight, np.float32)
     # What the mean takes from the values it takes from their slope as well.
-    slope -= gaussian_window(slope * weight, normalizing_px) / coverage
+    level = slope - gaussian_window(slope * weight, normalizing_px) / coverage
     deviation = np.sqrt(np.maximum(gaussian_window(centred * centred, normalizing_px) / coverage, 1e-6))
-    values, slopes = np.asarray(centred / deviation, np.float32), np.asarray(slope * weight / deviation, np.float32)
+    values, slopes = np.asarray(centred / deviation, np.float32), np.asarray(level * weight / deviation, np.float32)
     return values, slopes, weight
 
 

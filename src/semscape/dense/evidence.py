@@ -7,6 +7,8 @@ views' windows hold two surfaces; there the heights given stay the data.
 The noise is what the views show of it. Of what each of V views says about its own shift, a height explains one
 direction and the texture another; the V - 2 that are left are noise, in windows as wide as the surface averages over:
 blur and jitter make neighbours err alike. What drift shifts far and wide counts for itself.
+
+What parallax leaves to noise, brightness may tell, where it follows the surface's slopes (`dense.shading`).
 """
 
 from __future__ import annotations
@@ -19,18 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from semscape.dense.consistency import ComparedViews, compare_views
+from semscape.dense.consistency import ComparedViews, compare_looks, compare_views, look_through
 from semscape.dense.given import GIVEN_NOISE_PX, JUMP_PX, smoothed, without_spikes
-from semscape.dense.lateral import half_passing_period
+from semscape.dense.lateral import half_passing_period, stated_period
 from semscape.dense.posterior import (
     DataTerm,
     LatticeTable,
     averaging_width,
     height_variance,
     most_probable,
+    passing_period,
     smoothness_by_evidence,
 )
 from semscape.dense.sampling import gaussian_window
+from semscape.dense.shading import ShadingLaws, brightness_of
 from semscape.dense.side_by_side import Mapper
 from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.dense.sweep import Views
@@ -123,35 +127,50 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views, *, mapper: 
     held, cut, height, prior = first.stiffness, first.cut, first.height, first.prior
     stiffness = held
     beside = _beside_jumps(np.where(known, height, np.nan), JUMP_PX / base)
-    for _ in range(_ROUNDS):
+    free = np.asarray(known & ~beside, np.float32)
+    laws: ShadingLaws | None = None
+    for step in range(_ROUNDS):
+        looks = list(mapper(partial(look_through, height), views.samplers))
+        brightness = brightness_of(looks, views.parallax, free)
+        if brightness is not None:
+            laws = ShadingLaws(brightness, height) if step == 0 else laws
+        terms = []
+        if brightness is not None and laws is not None:
+            terms = laws.terms(brightness, height)
+            looks = laws.corrected(looks, brightness, height)
+        slopes = np.asarray(sum(term.slope_precision() for term in terms), np.float64) if terms else None
         width = np.clip(averaging_width(stiffness, known, prior, table), _WIDTHS_PX[0], _WIDTHS_PX[-1])
-        seen = compare_views(height, known, views.samplers, views.parallax, _NORMALIZING_PX, mapper=mapper)
+        seen = compare_looks(looks, known, views.parallax, _NORMALIZING_PX, mapper=mapper)
         noise = _noise(seen, known, views.parallax, mapper)
         divisor = noise.variance * np.exp(np.interp(np.log(width), np.log(_WIDTHS_PX), np.log(noise.inflation)))
         sharpness = known * seen.slope**2 * seen.leverage
         pull = -1.0 * known * sum(seen.pull(i) for i in range(len(views.samplers)))
         stiffness = np.where(beside, held, sharpness / divisor)
         data = DataTerm(stiffness, np.where(beside, held * (given - height), pull / divisor))
-        moved = most_probable(height, data, cut, prior)
+        moved = most_probable(height, data, cut, prior, terms)
         height = np.clip(moved, height - _MAX_STEP_PX / base, height + _MAX_STEP_PX / base)
-        prior = smoothness_by_evidence(height, stiffness, cut, prior, table)
+        prior = smoothness_by_evidence(height, stiffness, cut, prior, table, slopes)
     agreed = compare_views(height, known, calm.samplers, calm.parallax, _AGREEMENT_PX, mapper=mapper).weights
     agreeing = agreed > _ALL_AGREE
     share = _slow_share(agreeing, views.parallax)
-    variance = height_variance(stiffness, known, prior, table) + noise.slow * share
+    variance = height_variance(stiffness, known, prior, table, slopes) + noise.slow * share
     # What the smoothness takes from a crease its variance, that of the neighbourhood, does not tell: about as much as
     # it would take from the heights found once more.
-    again = most_probable(height, DataTerm(stiffness, np.zeros_like(height)), cut, prior)
+    still = [term.at_rest() for term in terms]
+    again = most_probable(height, DataTerm(stiffness, np.zeros_like(height)), cut, prior, still)
     taken = gaussian_window(((height - again) ** 2).astype(np.float32), _CREASE_PX)
     at_jump = np.maximum(variance, (GIVEN_NOISE_PX / base) ** 2) + _wanted_shift(pull, sharpness) ** 2
     variance = np.where(beside, at_jump, variance + taken)
     n_views = agreeing.sum(axis=0)
+    period = half_passing_period(averaging_width(stiffness, known, prior, table))
+    if slopes is not None:
+        period = np.minimum(period, stated_period(passing_period(stiffness, known, prior, table, slopes)))
     found = np.isfinite(without_islands(np.where(known & (n_views >= 2), height, np.nan), base))
     return RefinedHeights(
         np.where(found, height, np.nan),
         np.where(found, np.sqrt(variance), np.nan),
         np.where(found, n_views, 0).astype(np.uint8),
-        np.where(found, half_passing_period(averaging_width(stiffness, known, prior, table)), np.float32(np.nan)),
+        np.where(found, period, np.float32(np.nan)),
         noise.slow,
         np.where(found, share, np.nan).astype(np.float32),
     )

@@ -7,6 +7,8 @@ So the period that passes half is 2 pi x^(-1/4) = 2 pi sigma sqrt(pi / 2).
 
 The noise that comes through with the heights is alike over about as far: its spectrum x² / (x + w⁴)² spans the area
 16 / sqrt(x), that of noise under a Gaussian window of 0.18 periods.
+
+Where brightness tells slopes as well, `dense.posterior` weighs both: finer waves pass.
 """
 
 from __future__ import annotations
@@ -38,5 +40,9 @@ def half_passing_period(averaging_width_px: FloatArray) -> ImageArray:
     >>> half_passing_period(np.array([[0.1, 2.0, 4.0]])).tolist()[0]
     [2.0, 15.699999809265137, 31.5]
     """
-    period = np.maximum(_PERIOD_PER_WIDTH * averaging_width_px, _FINEST_PX)
-    return np.asarray(np.round(period, _DECIMALS), np.float32)
+    return stated_period(_PERIOD_PER_WIDTH * averaging_width_px)
+
+
+def stated_period(period_px: FloatArray) -> ImageArray:
+    """Return periods (H, W) in px as they are stated: no finer than an image holds, and rounded."""
+    return np.asarray(np.round(np.maximum(period_px, _FINEST_PX), _DECIMALS), np.float32)

@@ -6,20 +6,25 @@ every place, and it is cut at depth jumps. The most probable heights solve (k + 
 tau^2 is not chosen: it is the one that makes the data most probable (MacKay 1992), by the fixed point
 tau^2 = mean (D2 h)^2 / gamma. D2 are second differences over two pixels, for blurred images say nothing about finer
 ones and those would make every surface smooth; gamma, what the data determine of them in units of tau^2, follows from
-k tau^2.
+k tau^2. Further terms may tell slopes (`dense.slopes`): a precision s of theirs counts as k does, times the response to
+a wave.
 
 References: MacKay 1992, doi:10.1162/neco.1992.4.3.415.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from semscape.compiled import njit
 from semscape.dense.multilevel import Plane, answer, inverse_diagonals
 from semscape.dense.sampling import gaussian_window
+from semscape.dense.slopes import SlopeTerm, response
 from semscape.types import BoolArray, FloatArray
 
 _LOCAL_PX = 8.0
@@ -29,7 +34,9 @@ _STUDENT = 4.0
 _HASTE = 2.0
 _TOLERANCE = 1e-4
 _STEPS, _LEVELS = 30, 5
-_LATTICE = 64
+_LATTICE = 32
+_FREQUENCY = np.pi * (np.arange(_LATTICE) + 0.5) / _LATTICE
+_LOG_X, _LOG_Y, _LOG_STEP = (-12.0, 18.0), (-14.0, 16.0), 0.5
 
 
 @dataclass(frozen=True)
@@ -79,40 +86,86 @@ def _cut_over_two(cut: tuple[FloatArray, FloatArray, FloatArray]) -> tuple[Float
 class LatticeTable:
     """What a prior of second differences leaves open, for a stiffness that is the same everywhere.
 
-    With x = k tau^2 and S, S2 the squared responses of the second differences over one pixel and over two:
-    `determined` is the mean of S2 / S x / (x + S) over all frequencies, `whole` its limit for exact data, and the
-    variance of a height is tau^2 times `spread`, the mean of 1 / (x + S).
+    With x = k tau^2, y = s tau^2, R the response of slopes, and S, S2 the squared responses of the second differences
+    over one pixel and over two, data weigh z = x + y R: `determined` is the mean of S2 / S z / (z + S) over all
+    frequencies, `whole` its limit for exact data, and the variance of a height is tau^2 times `spread`, the mean of
+    1 / (z + S).
 
     Examples
     --------
-    Data that are stiff beside the prior determine everything:
+    Data that are stiff beside the prior determine everything, and slopes that are told more than none:
 
     >>> table = LatticeTable()
     >>> bool(table.determined(np.array(1e7)) > 0.99 * table.whole)
     True
     >>> bool(abs(table.spread(np.array(1e7)) * 1e7 - 1) < 0.01)
     True
+    >>> bool(table.spread(np.array(1e-3), np.array(1.0)) < 0.5 * table.spread(np.array(1e-3)))
+    True
     """
 
     def __init__(self) -> None:
-        frequency = 2 * np.pi * (np.arange(_LATTICE) + 0.5) / _LATTICE
-        response = 2 - 2 * np.cos(frequency)
-        squared = (response[:, None] + response[None, :]) ** 2
-        over_two = 2 - 2 * np.cos(2 * frequency)
-        ratio = (over_two[:, None] + over_two[None, :]) ** 2 / squared
-        self.whole = float(ratio.mean())
+        first, over_two = (2 - 2 * np.cos(step * _FREQUENCY) for step in (1, 2))
+        self._squared = (first[:, None] + first[None, :]) ** 2
+        self._ratio = (over_two[:, None] + over_two[None, :]) ** 2 / self._squared
+        self.whole = float(self._ratio.mean())
         self._log = np.linspace(-12.0, 18.0, 121)
         x = np.exp(self._log)[:, None, None]
-        self._log_determined = np.log((ratio * x / (x + squared)).mean(axis=(1, 2)))
-        self._log_spread = np.log((1 / (x + squared)).mean(axis=(1, 2)))
+        self._log_determined = np.log((self._ratio * x / (x + self._squared)).mean(axis=(1, 2)))
+        self._log_spread = np.log((1 / (x + self._squared)).mean(axis=(1, 2)))
 
-    def determined(self, x: FloatArray) -> FloatArray:
+    def determined(self, x: FloatArray, y: FloatArray | None = None) -> FloatArray:
         """Return what the data determine of the curvature over two pixels, in units of tau^2."""
-        return np.asarray(np.exp(np.interp(np.log(x), self._log, self._log_determined)), np.float64)
+        if y is None:
+            return np.asarray(np.exp(np.interp(np.log(x), self._log, self._log_determined)), np.float64)
+        return self._with_slopes(0, x, y)
 
-    def spread(self, x: FloatArray) -> FloatArray:
+    def spread(self, x: FloatArray, y: FloatArray | None = None) -> FloatArray:
         """Return the variance of a height, in units of tau^2."""
-        return np.asarray(np.exp(np.interp(np.log(x), self._log, self._log_spread)), np.float64)
+        if y is None:
+            return np.asarray(np.exp(np.interp(np.log(x), self._log, self._log_spread)), np.float64)
+        return self._with_slopes(1, x, y)
+
+    def half_passing(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the period in px of the wave that passes with half its height."""
+        return self._with_slopes(2, x, y)
+
+    def _with_slopes(self, which: int, x: FloatArray, y: FloatArray) -> FloatArray:
+        places = [
+            (np.log(np.clip(value, np.exp(start), np.exp(stop))) - start) / _LOG_STEP
+            for value, (start, stop) in ((x, _LOG_X), (y, _LOG_Y))
+        ]
+        at = np.stack([np.asarray(place, np.float64) for place in np.broadcast_arrays(*places)])
+        found = map_coordinates(self._slope_tables[which], at.reshape(2, -1), order=1, mode="nearest")
+        return np.asarray(np.exp(found.reshape(at.shape[1:])), np.float64)
+
+    @cached_property
+    def _slope_tables(self) -> FloatArray:
+        """Return the logarithms of all three, (3, X, Y), over those of x and y."""
+        log_x, log_y = (np.arange(start, stop + _LOG_STEP / 2, _LOG_STEP) for start, stop in (_LOG_X, _LOG_Y))
+        told = response(_FREQUENCY)
+        tables = np.empty((3, len(log_x), len(log_y)))
+        # Along the diagonal, which holds the finest waves.
+        period = np.sqrt(2) * np.pi / _FREQUENCY
+        for i, x in enumerate(np.exp(log_x)):
+            data = x + np.exp(log_y)[:, None, None] * told
+            open_share = 1 / (data + self._squared)
+            tables[0, i] = np.log((self._ratio * data * open_share).mean(axis=(1, 2)))
+            tables[1, i] = np.log(open_share.mean(axis=(1, 2)))
+            passing = np.diagonal(data * open_share, axis1=1, axis2=2)
+            tables[2, i] = [np.log(_finest_passing(share, period)) for share in passing]
+        return tables
+
+
+def _finest_passing(share: FloatArray, period: FloatArray) -> float:
+    """Return down to which of falling periods (N,) at least half is held throughout."""
+    lost = np.flatnonzero(share < 0.5)
+    if len(lost) == 0:
+        return float(period[-1])
+    first = int(lost[0])
+    if first == 0:
+        return float(period[0])
+    return float(np.interp(0.5, share[[first, first - 1]], period[[first, first - 1]]))
 
 
 @dataclass(frozen=True)
@@ -129,13 +182,18 @@ def smoothness_by_evidence(
     cut: tuple[FloatArray, FloatArray, FloatArray],
     before: Smoothness,
     table: LatticeTable,
+    slopes: FloatArray | None = None,
 ) -> Smoothness:
-    """Take one step of MacKay's fixed point; places of much more curvature than their neighbours weigh less."""
+    """Take one step of MacKay's fixed point; places of much more curvature than their neighbours weigh less.
+
+    `slopes` (H, W) is how precisely slopes are told, where they are.
+    """
     xx, yy, xy = _cut_over_two(cut)
     differences = second_differences(height, 2)
     curvature = sum(w * d * d for w, d in zip((xx, yy, 2 * xy), differences, strict=True))
     counted = (xx + yy + 2 * xy) / 4
-    determined = table.determined(np.clip(_local(stiffness, counted, _STIFFNESS_PX) * before.variance, 1e-5, 1e7))
+    x = np.clip(_local(stiffness, counted, _STIFFNESS_PX) * before.variance, 1e-5, 1e7)
+    determined = table.determined(x, None if slopes is None else slopes * before.variance)
     left_open = (table.whole - determined) * before.variance
     here = _local(np.asarray(curvature), counted, 1.0) / np.maximum(_local(counted, None, 1.0), 1e-3)
     weight = (_STUDENT + 1) / (_STUDENT + (here + left_open) / (table.whole * before.variance))
@@ -145,11 +203,22 @@ def smoothness_by_evidence(
     return Smoothness(np.clip(variance, 1e-6, 1e4), weight)
 
 
-def height_variance(stiffness: FloatArray, known: BoolArray, prior: Smoothness, table: LatticeTable) -> FloatArray:
+def height_variance(
+    stiffness: FloatArray, known: BoolArray, prior: Smoothness, table: LatticeTable, slopes: FloatArray | None = None
+) -> FloatArray:
     """Return the posterior variance (H, W) of the heights under data and prior."""
     variance = prior.variance / prior.weight
     x = np.clip(_local(stiffness, known.astype(np.float64), _STIFFNESS_PX) * variance, 1e-5, 1e7)
-    return variance * table.spread(x)
+    return variance * table.spread(x, None if slopes is None else slopes * variance)
+
+
+def passing_period(
+    stiffness: FloatArray, known: BoolArray, prior: Smoothness, table: LatticeTable, slopes: FloatArray
+) -> FloatArray:
+    """Return the period (H, W) in px of the wave that passes with half its height, where slopes are told."""
+    variance = prior.variance / prior.weight
+    x = np.clip(_local(stiffness, known.astype(np.float64), _STIFFNESS_PX) * variance, 1e-5, 1e7)
+    return table.half_passing(x, slopes * variance)
 
 
 def averaging_width(stiffness: FloatArray, known: BoolArray, prior: Smoothness, table: LatticeTable) -> FloatArray:
@@ -164,11 +233,14 @@ def most_probable(
     data: DataTerm,
     cut: tuple[FloatArray, FloatArray, FloatArray],
     prior: Smoothness,
+    terms: Sequence[SlopeTerm] = (),
     *,
     steps: int = _STEPS,
     levels: int = _LEVELS,
 ) -> FloatArray:
     """Solve (k + D' W D / tau^2) h = k height + pull by conjugate gradients from `height` on.
+
+    Each of the terms adds its own product to the left and its pull to the right.
 
     The change is solved for, so single precision is enough; sums are in double precision and in one order. `levels`
     coarser grids precondition it; with none, steps that are few leave what is smooth over more pixels as it is.
@@ -179,14 +251,25 @@ def most_probable(
     product = np.empty(height.shape, np.float32)
     _apply((height - offset).astype(np.float32), np.zeros_like(stiffness), wxx, wyy, wxy, product)
     residual = data.pull.astype(np.float32) - product
-    inverse = inverse_diagonals(stiffness, (wxx, wyy, wxy), stiffness + _prior_diagonal(wxx, wyy, wxy), levels)
+    diagonal = stiffness + _prior_diagonal(wxx, wyy, wxy)
+    if terms:
+        told = np.float32(response(_FREQUENCY).mean())
+        for term in terms:
+            residual += term.pull()
+            diagonal += told * term.slope_precision()
+    inverse = inverse_diagonals(stiffness, (wxx, wyy, wxy), diagonal, levels)
     change = np.zeros_like(residual)
     direction = answer(residual, inverse)
     power = start = _dot(residual, direction)
     for _ in range(steps):
         if power <= _TOLERANCE**2 * start or power == 0:
             break
-        step = power / _apply(direction, stiffness, wxx, wyy, wxy, product)
+        curvature = _apply(direction, stiffness, wxx, wyy, wxy, product)
+        for term in terms:
+            told_by = term.product(direction)
+            curvature += _dot(direction, told_by)
+            product += told_by
+        step = power / curvature
         _descend(np.float32(step), direction, product, change, residual)
         answered = answer(residual, inverse)
         power, last = _dot(residual, answered), power
