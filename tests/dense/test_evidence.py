@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from semscape.dense.evidence import refine_by_evidence
+from semscape.dense.evidence import begin, refine_by_evidence
 from semscape.dense.posterior import (
     DataTerm,
     LatticeTable,
@@ -105,7 +105,7 @@ def test_evidence_finds_the_curvature_of_the_surface(tau: float) -> None:
 def test_refining_lowers_the_error_and_knows_it() -> None:
     true = np.tile(20 + 6 * np.sin(COLUMNS / 25), (SHAPE[0], 1))
     rough = true + np.random.default_rng(4).normal(0, 0.5, SHAPE)
-    found = refine_by_evidence(rough, look_at(true[0]), look_at(true[0]))
+    found = refine_by_evidence(begin(rough, look_at(true[0]).baseline), look_at(true[0]), look_at(true[0]))
     inner = np.s_[15:-15, 25:-25]
     error = np.abs(found.height - true)[inner]
     assert np.sqrt(np.mean(error**2)) < 0.5 * 0.5
@@ -115,7 +115,7 @@ def test_refining_lowers_the_error_and_knows_it() -> None:
 def test_sigma_holds_on_the_ridge_of_a_roof() -> None:
     """Smoothing rounds off a ridge, which the variance of the neighbourhood does not tell: without it 0.39."""
     true = np.tile(30 - np.abs(COLUMNS - 75), (SHAPE[0], 1))
-    found = refine_by_evidence(true, look_at(true[0]), look_at(true[0]))
+    found = refine_by_evidence(begin(true, look_at(true[0]).baseline), look_at(true[0]), look_at(true[0]))
     ridge = np.s_[15:-15, 73:78]
     assert 0.5 < np.mean(np.abs(found.height - true)[ridge] < found.uncertainty[ridge]) < 0.9
 
@@ -127,7 +127,7 @@ def test_drift_makes_more_of_heights_that_fewer_views_see() -> None:
         sampler.x0 = sampler.x0 + np.float32(shift)
     for view in (0, 1, 4):
         views.samplers[view].mask[:, 75:] = 0
-    found = refine_by_evidence(np.zeros(SHAPE), views, views)
+    found = refine_by_evidence(begin(np.zeros(SHAPE), views.baseline), views, views)
     all_see, few_see = np.s_[15:-15, 20:55], np.s_[15:-15, 90:-20]
     assert np.median(found.n_views[all_see]) == 5
     assert np.median(found.n_views[few_see]) == 2
@@ -141,7 +141,7 @@ def test_what_is_black_in_all_views_has_no_height() -> None:
     views = look_at(np.zeros(SHAPE[1]), noise=1.0)
     for sampler in views.samplers:
         sampler.image[:, 80:] = sampler.along[:, 80:] = 0
-    found = refine_by_evidence(np.zeros(SHAPE), views, views)
+    found = refine_by_evidence(begin(np.zeros(SHAPE), views.baseline), views, views)
     assert np.isfinite(found.height[15:-15, 20:75]).mean() > 0.95
     assert np.isnan(found.height[:, 102:]).all()
 
@@ -149,4 +149,4 @@ def test_what_is_black_in_all_views_has_no_height() -> None:
 def test_an_unknown_map_stays_unknown() -> None:
     unknown = np.full(SHAPE, np.nan)
     nothing = look_at(np.zeros(SHAPE[1]))
-    assert np.isnan(refine_by_evidence(unknown, nothing, nothing).height).all()
+    assert np.isnan(refine_by_evidence(begin(unknown, nothing.baseline), nothing, nothing).height).all()

@@ -89,7 +89,7 @@ def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPa
     """What each tile finds of the variance that is shared far and wide is pooled: it knows no tiles' borders."""
     shared_um2, own_um2 = iter([0.0, 1.0, 4.0, 3.0]), 0.25
 
-    def core(_: DenseOptions, tile: Any) -> Any:
+    def core(tile: Any) -> Any:
         shared = next(shared_um2)
         # On the left of the field fewer views agree: they hold three times as much of it.
         shares = np.where(in_the_field(tile)[1] < 60, np.float32(3), np.float32(1))
@@ -106,7 +106,7 @@ def test_drift_makes_no_step_of_sigma_between_tiles(monkeypatch: pytest.MonkeyPa
         planes = height, uncertainty, number, nothing, nothing + 1, share
         return planes, [heights(strip) for strip in tile.strips], shared
 
-    monkeypatch.setattr("semscape.dense.tiles._core", core)
+    monkeypatch.setattr("semscape.dense.tiles._cores", lambda _series, _options, tiles, mapper: mapper(core, tiles))
     surface = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160))
     pooled_um2 = (0.5 * 1 + 4 + 3) / 3.5
     assert surface.shared_variance_um2 == pytest.approx(pooled_um2)
@@ -120,7 +120,7 @@ def test_no_seam_between_tiles_that_err_apart(monkeypatch: pytest.MonkeyPatch) -
     """Each tile finds a known surface with an offset of its own, 0.2 px apart: no pixel shows where one ends."""
     offsets, slope = iter([0.0, 0.2, -0.2, 0.1]), 0.05
 
-    def core(_: DenseOptions, tile: Any) -> Any:
+    def core(tile: Any) -> Any:
         rows, columns = in_the_field(tile)
         height = (slope * rows + 0.02 * columns + next(offsets)) * OPTIONS.pixel_size_um
 
@@ -132,7 +132,7 @@ def test_no_seam_between_tiles_that_err_apart(monkeypatch: pytest.MonkeyPatch) -
         planes = found, sigma, np.full(found.shape, 3, np.uint8), nothing, nothing + 1, share
         return planes, [heights(strip) for strip in tile.strips], 0.0
 
-    monkeypatch.setattr("semscape.dense.tiles._core", core)
+    monkeypatch.setattr("semscape.dense.tiles._cores", lambda _series, _options, tiles, mapper: mapper(core, tiles))
     height = surface_in_tiles(*calibrated(), DenseOptions(tile_px=160)).height_map.height_um / OPTIONS.pixel_size_um
     down, right = np.diff(height, axis=0) - slope, np.diff(height, axis=1) - 0.02
     assert 0 < np.abs(down).max() < 0.4 / 64

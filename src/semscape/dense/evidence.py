@@ -22,20 +22,23 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from semscape.dense.consistency import ComparedViews, compare_looks, compare_views, look_through
-from semscape.dense.given import GIVEN_NOISE_PX, JUMP_PX, smoothed, without_spikes
+from semscape.dense.given import GIVEN_NOISE_PX, JUMP_PX, given_stiffness, smoothed, without_spikes
 from semscape.dense.lateral import half_passing_period, stated_period
 from semscape.dense.posterior import (
     DataTerm,
-    LatticeTable,
+    Smoothness,
     averaging_width,
     height_variance,
+    lattice_table,
     most_probable,
     passing_period,
     smoothness_by_evidence,
+    smoothness_cut,
 )
 from semscape.dense.sampling import gaussian_window
-from semscape.dense.shading import ShadingLaws, brightness_of
+from semscape.dense.shading import ShadingLaws, Texture
 from semscape.dense.side_by_side import Mapper
+from semscape.dense.slopes import SlopeTerm
 from semscape.dense.stereo import filled_from_nearest, without_speckles
 from semscape.dense.sweep import Views
 from semscape.types import BoolArray, FloatArray, ImageArray
@@ -64,6 +67,20 @@ _MOST_SHARE = 100.0
 # Patches smaller than this, and than this share of the field, that stand alone are chance agreements of noise.
 _ISLAND_AREA_PX = 200
 _ISLAND_SHARE = 3e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """Heights to start from (H, W), px: which are `known`, as `given`, and smoothed.
+
+    `variance` and `weight` are those of their smoothness.
+    """
+
+    known: BoolArray
+    given: ImageArray
+    height: ImageArray
+    variance: ImageArray
+    weight: ImageArray
 
 
 @dataclass(frozen=True)
@@ -96,17 +113,37 @@ class _Noise:
     slow: float
 
 
-def refine_by_evidence(start: FloatArray, views: Views, calm: Views, *, mapper: Mapper = map) -> RefinedHeights:
+def begin(start: FloatArray, baseline: float) -> Begun:
+    """Smooth heights (H, W), in px, crisp at jumps, NaN where unknown, as far as they say that the surface is smooth.
+
+    Specks of a few unknown pixels far from jumps are tried from their neighbours; what else is unknown stays so.
+    """
+    start = without_islands(start, baseline)
+    known = np.isfinite(start)
+    if not known.any():
+        none = np.zeros(start.shape, np.float32)
+        return Begun(known, none, none, none, none)
+    given = without_spikes(filled_from_nearest(start), JUMP_PX / baseline)
+    known |= specks(~known) & ~_spans(given, 2 * JUMP_PX / baseline)
+    first = smoothed(given, known, baseline, lattice_table())
+    planes = (each.astype(np.float32) for each in (given, first.height, first.prior.variance, first.prior.weight))
+    return Begun(known, *planes)
+
+
+def refine_by_evidence(
+    begun: Begun, views: Views, calm: Views, laws: ShadingLaws | None = None, *, mapper: Mapper = map
+) -> RefinedHeights:
     """Return the most probable heights near the given ones, in px, with their 1-sigma uncertainty.
 
     Parameters
     ----------
-    start : (H, W) float array
-        In px, crisp at jumps, NaN where unknown. Specks of a few unknown pixels far from jumps are tried from their
-        neighbours; what else is unknown, and where no two views agree, is unknown in the end.
+    begun : Begun
+        Where no two views agree, heights are unknown in the end.
     views : Views
     calm : Views
         The same, smoothed more against noise: of these is asked whether they agree.
+    laws : ShadingLaws
+        How brightness follows slopes; where left out, it is not asked.
     mapper : callable
         `map`, or one that runs parts side by side; the result does not depend on it.
 
@@ -114,30 +151,25 @@ def refine_by_evidence(start: FloatArray, views: Views, calm: Views, *, mapper: 
     ----------
     MacKay 1992, doi:10.1162/neco.1992.4.3.415; Lucas & Kanade 1981 (IJCAI).
     """
-    start = without_islands(start, views.baseline)
-    known = np.isfinite(start)
+    known, base = begun.known, views.baseline
+    given, height = (np.asarray(each, np.float64) for each in (begun.given, begun.height))
     if not known.any():
-        nothing = start.astype(np.float32)
-        return RefinedHeights(start, start, np.zeros(start.shape, np.uint8), nothing, 0.0, nothing)
-    base = views.baseline
-    given = without_spikes(filled_from_nearest(start), JUMP_PX / base)
-    known |= specks(~known) & ~_spans(given, 2 * JUMP_PX / base)
-    table = LatticeTable()
-    first = smoothed(given, known, base, table)
-    held, cut, height, prior = first.stiffness, first.cut, first.height, first.prior
+        nothing = np.full(known.shape, np.nan)
+        flat = nothing.astype(np.float32)
+        return RefinedHeights(nothing, nothing, np.zeros(known.shape, np.uint8), flat, 0.0, flat)
+    table = lattice_table()
+    held = given_stiffness(known, base)
+    cut = smoothness_cut(np.where(known, given, np.nan), JUMP_PX / base)
+    prior = Smoothness(np.asarray(begun.variance, np.float64), np.asarray(begun.weight, np.float64))
     stiffness = held
     beside = _beside_jumps(np.where(known, height, np.nan), JUMP_PX / base)
     free = np.asarray(known & ~beside, np.float32)
-    laws: ShadingLaws | None = None
-    for step in range(_ROUNDS):
+    texture = Texture()
+    for _ in range(_ROUNDS):
         looks = list(mapper(partial(look_through, height), views.samplers))
-        brightness = brightness_of(looks, views.parallax, free)
-        if brightness is not None:
-            laws = ShadingLaws(brightness, height) if step == 0 else laws
-        terms = []
-        if brightness is not None and laws is not None:
-            terms = laws.terms(brightness, height)
-            looks = laws.corrected(looks, brightness, height)
+        terms: list[SlopeTerm] = []
+        if laws is not None:
+            terms, looks = laws.heard(looks, views.parallax, free, height, texture)
         slopes = np.asarray(sum(term.slope_precision() for term in terms), np.float64) if terms else None
         width = np.clip(averaging_width(stiffness, known, prior, table), _WIDTHS_PX[0], _WIDTHS_PX[-1])
         seen = compare_looks(looks, known, views.parallax, _NORMALIZING_PX, mapper=mapper)
@@ -251,7 +283,7 @@ def _scatter(shifts: list[ImageArray], unexplained: FloatArray, used: BoolArray,
     return np.asarray(((unexplained @ scattered) ** 2).sum(axis=0) / (len(shifts) - 2), np.float64)
 
 
-def _wanted_shift(pull: FloatArray, sharpness: NDArray[np.floating]) -> FloatArray:
+def _wanted_shift(pull: NDArray[np.floating], sharpness: NDArray[np.floating]) -> FloatArray:
     """Return how far the views around would move heights (H, W) that are held."""
     force = gaussian_window(pull.astype(np.float32), _PLACE_PX)
     sharp = np.maximum(gaussian_window(sharpness.astype(np.float32), _PLACE_PX), np.float32(1e-9))

@@ -58,7 +58,7 @@ def smoothed(given: FloatArray, known: BoolArray, baseline: float, table: Lattic
     """
     cut = smoothness_cut(np.where(known, given, np.nan), JUMP_PX / baseline)
     prior = Smoothness(np.full(given.shape, _START_TAU**2), np.ones(given.shape))
-    stiffness = np.where(known, (baseline / GIVEN_NOISE_PX) ** 2 / _GIVEN_CORRELATED, 0.0)
+    stiffness = given_stiffness(known, baseline)
     # What is smooth over more pixels than some steps without coarser grids reach is left as it was given.
     height = median_of(given)
     for _ in range(_ROUNDS):
@@ -66,6 +66,11 @@ def smoothed(given: FloatArray, known: BoolArray, baseline: float, table: Lattic
         height = most_probable(height, data, cut, prior, steps=_STEPS, levels=0)
         prior = smoothness_by_evidence(height, stiffness, cut, prior, table)
     return SmoothedHeights(height, stiffness, cut, prior)
+
+
+def given_stiffness(known: BoolArray, baseline: float) -> FloatArray:
+    """Return the stiffness (H, W) with which given heights are held."""
+    return np.where(known, (baseline / GIVEN_NOISE_PX) ** 2 / _GIVEN_CORRELATED, 0.0)
 
 
 def without_spikes(height: FloatArray, limit: float) -> FloatArray:

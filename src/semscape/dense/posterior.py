@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -166,6 +166,12 @@ def _finest_passing(share: FloatArray, period: FloatArray) -> float:
     if first == 0:
         return float(period[0])
     return float(np.interp(0.5, share[[first, first - 1]], period[[first, first - 1]]))
+
+
+@cache
+def lattice_table() -> LatticeTable:
+    """Return the table, the same one each time."""
+    return LatticeTable()
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semscape.dense.consistency import Look
+from semscape.dense.given import JUMP_PX, near_jumps
 from semscape.dense.sampling import gaussian_window
 from semscape.dense.slopes import SlopeTerm, slope_term
-from semscape.types import FloatArray, ImageArray
+from semscape.dense.sweep import Views
+from semscape.types import BoolArray, FloatArray, ImageArray, Micrograph
 
 # The waves on which laws are learnt: parallax knows heights there, and does not mistake brightness for them.
 _LEARNT_PX = (8.0, 32.0)
@@ -36,105 +38,184 @@ _MOSTLY_COVERED = 0.6
 # Dark pixels are divided by no less than this share of the median.
 _DARKEST = 0.25
 _MEAN_PX = 1.0
+# No law is learnt so near to jumps.
+_JUMP_REACH_PX = 6
+_MOST_SAMPLES = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Brightness:
+class GreyLevels:
+    """The median grey value of each view (V,), and the median of the absolute differences from it (V,)."""
+
+    medians: FloatArray
+    spreads: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Brightness:
     """What all views together show through one height map, (H, W) each, where `seen` is 1.
 
     `mean` is the mean brightness over its median; `change` is by how much of itself it changes per unit of parallax,
-    and `by_height` what that changes by per px of height. `levers` and `gains` (V,) are each view's parallax against
-    the mean one, and the contrast by which its grey values, less some offset, are made alike.
+    and `by_height` what that changes by per px of height. `divisor` is the mean, smooth and not too dark, `contrast`
+    the mean beside its median over it; `grey` (V,) by how many grey levels a view shows a unit of change differently.
     """
 
     seen: ImageArray
     mean: ImageArray
     change: ImageArray
     by_height: ImageArray
-    levers: FloatArray
-    gains: FloatArray
-    median: float
+    divisor: ImageArray
+    contrast: ImageArray
+    grey: FloatArray
 
 
-def brightness_of(looks: Sequence[Look], parallax: FloatArray, free: ImageArray) -> Brightness | None:
-    """Return what views (V of values, slopes along the parallax, validity) show, None where too little.
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """Normal equations of some samples on N functions; those of parts of a field add up."""
+
+    square: FloatArray
+    answer: FloatArray
+    power: float
+    count: float
+
+    def __add__(self, other: Regression) -> Regression:
+        """Return the equations of all samples of both."""
+        return Regression(
+            self.square + other.square, self.answer + other.answer, self.power + other.power, self.count + other.count
+        )
+
+    def law(self) -> FloatArray | None:
+        """Return the coefficients (N,), None where they explain next to nothing."""
+        if self.count < _LEAST_SAMPLE:
+            return None
+        # As many pixels as a window holds err alike; what is not told stays about zero.
+        left = self._left(np.linalg.lstsq(self.square, self.answer, rcond=None)[0])
+        ridge = left / self.count * 4 * np.pi * _LEARNT_PX[0] ** 2 / _EXPECTED**2
+        law = np.linalg.solve(self.square + max(ridge, 1e-12) * np.eye(len(self.answer)), self.answer)
+        explains = self._left(law) < (1 - _LEAST_EXPLAINED) * self.power
+        return np.asarray(law, np.float64) if explains else None
+
+    def _left(self, law: NDArray[np.floating]) -> float:
+        return max(float(self.power - 2 * law @ self.answer + law @ self.square @ law), 0.0)
+
+
+def grey_levels(views: Sequence[Micrograph]) -> GreyLevels | None:
+    """Return the grey levels of views, None where one is black or of one grey."""
+    medians, spreads = [], []
+    for view in views:
+        shown = view.image[view.mask]
+        shown = shown[:: max(len(shown) // _MOST_SAMPLES, 1)]
+        if len(shown) < _LEAST_SAMPLE:
+            return None
+        medians.append(float(np.median(shown)))
+        spreads.append(float(np.median(np.abs(shown - medians[-1]))))
+    if min(medians) <= 0 or min(spreads) <= 0:
+        return None
+    return GreyLevels(np.array(medians), np.array(spreads))
+
+
+def regressions(
+    height: FloatArray, known: BoolArray, views: Views, levels: GreyLevels, core: tuple[slice, slice] | None = None
+) -> list[Regression]:
+    """Regress the mean brightness that views show at heights (H, W), and its change, on the heights' normals.
+
+    The fourth function of the change is the mean brightness itself: views are made alike in contrast, which the change
+    has a part in.
 
     Parameters
     ----------
-    looks : sequence of V times three (H, W) float32 arrays
-    parallax : (V,) float array
-    free : (H, W) float32 array
-        1 where heights may follow brightness.
+    height : (H, W) float array
+        In px, as smooth as they are known.
+    known : (H, W) bool array
+    views : Views
+    levels : GreyLevels
+    core : two slices
+        What of the field counts; all where left out.
     """
-    seen = np.asarray(np.min([inside for _, _, inside in looks], axis=0) * free, np.float32)
-    used = seen > 0
-    if used.sum() < _LEAST_SAMPLE:
-        return None
-    medians = np.array([np.median(value[used]) for value, _, _ in looks])
-    spreads = np.array(
-        [np.median(np.abs(value[used] - median)) for (value, _, _), median in zip(looks, medians, strict=True)]
-    )
-    median = float(medians.mean())
-    if spreads.min() <= 0 or median <= 0:
-        return None
-    gains = spreads.mean() / spreads
-    levers = parallax - parallax.mean()
-    mean, change, by_height = (np.zeros(seen.shape, np.float32) for _ in range(3))
-    for (value, slope, _), own, gain, lever in zip(looks, medians, gains, levers, strict=True):
-        alike = (value - np.float32(own)) * np.float32(gain / median)
-        mean += alike / np.float32(len(looks))
-        change += alike * np.float32(lever / (levers @ levers))
-        by_height += slope * np.float32(gain / median / len(looks))
-    mean = np.asarray(mean + np.float32(1), np.float32)
-    divisor = _divisor(mean, seen)
-    return Brightness(seen, mean, change / divisor, by_height / divisor, levers, gains, median)
+    free = np.asarray(known & ~near_jumps(height, JUMP_PX / views.baseline, _JUMP_REACH_PX), np.float32)
+    looks = [sampler.sample(height) for sampler in views.samplers]
+    shown = _brightness(looks, views.parallax, free, levels)
+    normals = _normals(height)
+    of_change = [*normals.values, shown.contrast]
+    return [
+        _regressed(shown.mean, list(normals.values), shown.seen, core),
+        _regressed(shown.change, of_change, shown.seen, core),
+    ]
 
 
 class ShadingLaws:
     """How the brightness of a series, and its change with tilt, follow the normals of its surface."""
 
-    def __init__(self, brightness: Brightness, height: FloatArray) -> None:
-        """Learn both laws from what is seen at heights (H, W), in px."""
-        normals = _normals(height)
-        self._of_mean = _learnt(brightness.mean, brightness.seen, normals)
-        self._of_change = _learnt(brightness.change, brightness.seen, normals)
-        self._texture: ImageArray | None = None
+    def __init__(self, levels: GreyLevels, told: Sequence[Regression]) -> None:
+        self._levels = levels
+        self._of_mean, self._of_change = (regression.law() for regression in told)
 
-    def terms(self, brightness: Brightness, height: FloatArray) -> list[SlopeTerm]:
-        """Return what brightness seen at heights (H, W) says about their slopes.
+    def heard(
+        self, looks: Sequence[Look], parallax: FloatArray, free: ImageArray, height: FloatArray, texture: Texture
+    ) -> tuple[list[SlopeTerm], list[Look]]:
+        """Return what brightness at heights (H, W) says about their slopes, and the looks without expected changes.
 
-        As heights come to follow brightness, less of it is left unexplained than the law explains: the noise of the
-        mean brightness is taken no smaller than at first. What it changes by is noisier at first, for there shading
-        has passed for heights.
+        Parameters
+        ----------
+        looks : sequence of V looks
+        parallax : (V,) float array
+        free : (H, W) float32 array
+            1 where heights may follow brightness.
+        height : (H, W) float array
+        texture : Texture
+            As heights come to follow brightness, less of it is left unexplained than the law explains: what the mean
+            brightness holds besides is taken no smaller than at first. What it changes by is noisier at first, for
+            there shading has passed for heights.
         """
+        if self._of_mean is None and self._of_change is None:
+            return [], list(looks)
+        shown = _brightness(looks, parallax, free, self._levels)
+        if shown.seen.sum() < _LEAST_SAMPLE:
+            return [], list(looks)
         normals = _normals(height)
         terms = []
         if self._of_mean is not None:
-            field, by_column, by_row = self._left(brightness.mean, self._of_mean, normals)
-            still = np.zeros_like(field)
-            term, variance = slope_term(field, brightness.seen, still, by_column, by_row, self._texture)
-            self._texture = variance if self._texture is None else self._texture
+            value, by_column, by_row = _expected(self._of_mean, normals)
+            still = np.zeros_like(value)
+            term, variance = slope_term(shown.mean - value, shown.seen, still, -by_column, -by_row, texture.variance)
+            texture.variance = variance if texture.variance is None else texture.variance
             terms.append(term)
-        if self._of_change is not None:
-            field, by_column, by_row = self._left(brightness.change, self._of_change, normals)
-            terms.append(slope_term(field, brightness.seen, brightness.by_height, by_column, by_row)[0])
-        return terms
-
-    def corrected(self, looks: Sequence[Look], brightness: Brightness, height: FloatArray) -> list[Look]:
-        """Return the views' looks without the change of brightness that the law expects at heights (H, W)."""
         if self._of_change is None:
-            return list(looks)
-        expected, _, _ = _expected(self._of_change, _normals(height))
-        expected = expected * _divisor(brightness.mean, brightness.seen) * brightness.seen
-        return [
-            (np.asarray(value - expected * np.float32(lever * brightness.median / gain), np.float32), slope, inside)
-            for (value, slope, inside), lever, gain in zip(looks, brightness.levers, brightness.gains, strict=True)
+            return terms, list(looks)
+        value, by_column, by_row = _expected(self._of_change[:3], normals)
+        left = np.asarray(shown.change - value - np.float32(self._of_change[3]) * shown.contrast, np.float32)
+        terms.append(slope_term(left, shown.seen, shown.by_height, -by_column, -by_row)[0])
+        expected = value * shown.divisor * shown.seen
+        corrected = [
+            (np.asarray(grey - expected * np.float32(unit), np.float32), slope, inside)
+            for (grey, slope, inside), unit in zip(looks, shown.grey, strict=True)
         ]
+        return terms, corrected
 
-    @staticmethod
-    def _left(field: ImageArray, law: FloatArray, normals: _Normals) -> tuple[ImageArray, ImageArray, ImageArray]:
-        value, by_column, by_row = _expected(law, normals)
-        return np.asarray(field - value, np.float32), -by_column, -by_row
+
+@dataclass
+class Texture:
+    """The variance (H / 2, W / 2) of the mean brightness beside its law, as it was found first."""
+
+    variance: ImageArray | None = None
+
+
+def _brightness(looks: Sequence[Look], parallax: FloatArray, free: ImageArray, levels: GreyLevels) -> _Brightness:
+    seen = np.asarray(np.min([inside for _, _, inside in looks], axis=0) * free, np.float32)
+    median = float(levels.medians.mean())
+    gains = levels.spreads.mean() / levels.spreads
+    levers = parallax - parallax.mean()
+    mean, change, by_height = (np.zeros(seen.shape, np.float32) for _ in range(3))
+    for (value, slope, _), own, gain, lever in zip(looks, levels.medians, gains, levers, strict=True):
+        alike = (value - np.float32(own)) * np.float32(gain / median)
+        mean += alike / np.float32(len(looks))
+        change += alike * np.float32(lever / (levers @ levers))
+        by_height += slope * np.float32(gain / median / len(looks))
+    mean = np.asarray(mean + np.float32(1), np.float32)
+    share = np.maximum(gaussian_window(seen, _MEAN_PX), np.float32(0.05))
+    divisor = np.maximum(gaussian_window(mean * seen, _MEAN_PX) / share, np.float32(_DARKEST))
+    change, by_height, contrast = (np.asarray(each / divisor, np.float32) for each in (change, by_height, mean - 1))
+    return _Brightness(seen, mean, change, by_height, divisor, contrast, levers * median / gains)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,30 +248,25 @@ def _expected(law: FloatArray, normals: _Normals) -> tuple[ImageArray, ImageArra
     return value, by_column, by_row
 
 
-def _learnt(field: ImageArray, seen: ImageArray, normals: _Normals) -> FloatArray | None:
-    """Regress a field on functions of the normals, (3,), None where they explain next to nothing of it."""
+def _regressed(
+    field: ImageArray, functions: list[ImageArray], seen: ImageArray, core: tuple[slice, slice] | None
+) -> Regression:
+    """Regress the learnt waves of a field (H, W) on those of N functions (H, W)."""
     fine, coarse = _LEARNT_PX
-    near, far = (np.maximum(gaussian_window(seen, sigma), np.float32(0.05)) for sigma in _LEARNT_PX)
+    near, far = (gaussian_window(seen, sigma) for sigma in _LEARNT_PX)
     inside = (seen > 0) & (near > _WHOLLY_COVERED) & (far > _MOSTLY_COVERED)
-    if inside.sum() < _LEAST_SAMPLE:
-        return None
+    if core is not None:
+        counted = np.zeros(seen.shape, np.bool_)
+        counted[core] = True
+        inside &= counted
+    if not inside.any():
+        count = len(functions)
+        return Regression(np.zeros((count, count)), np.zeros(count), 0.0, 0.0)
 
     def waves(values: ImageArray) -> FloatArray:
         known = np.asarray((values - np.median(values[seen > 0])) * seen, np.float32)
         return np.asarray((gaussian_window(known, fine) - gaussian_window(known, coarse))[inside], np.float64)
 
     told = waves(field)
-    design = np.column_stack([waves(each) for each in normals.values])
-    square, answer = design.T @ design, design.T @ told
-    law = np.linalg.lstsq(square, answer, rcond=None)[0]
-    left = float(np.mean((told - design @ law) ** 2))
-    # As many pixels as a window holds err alike.
-    ridge = left * 4 * np.pi * fine**2 / _EXPECTED**2
-    law = np.linalg.solve(square + ridge * np.eye(len(law)), answer)
-    explained = 1 - float(np.mean((told - design @ law) ** 2)) / max(float(np.mean(told**2)), 1e-30)
-    return np.asarray(law, np.float64) if explained > _LEAST_EXPLAINED else None
-
-
-def _divisor(mean: ImageArray, seen: ImageArray) -> ImageArray:
-    share = np.maximum(gaussian_window(seen, _MEAN_PX), np.float32(0.05))
-    return np.maximum(gaussian_window(mean * seen, _MEAN_PX) / share, np.float32(_DARKEST))
+    design = np.column_stack([waves(each) for each in functions])
+    return Regression(design.T @ design, design.T @ told, float(told @ told), float(len(told)))

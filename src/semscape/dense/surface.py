@@ -11,11 +11,12 @@ import numpy as np
 
 from semscape.dense.blank import without_blank
 from semscape.dense.bridge import without_specks
-from semscape.dense.evidence import refine_by_evidence
+from semscape.dense.evidence import Begun, begin, refine_by_evidence
 from semscape.dense.fuse import fuse, to_zero_tilt
 from semscape.dense.given import JUMP_PX
 from semscape.dense.rectify import Frame, grid_pixel_size_um, rectified_frame, warp_to_frame
 from semscape.dense.sampling import ViewSampler, common_parallax, grid_in_view
+from semscape.dense.shading import GreyLevels, Regression, ShadingLaws, grey_levels, regressions
 from semscape.dense.side_by_side import Mapper
 from semscape.dense.stereo import RectifiedView, pair_heights
 from semscape.dense.sweep import Views, sharpen_jumps
@@ -49,6 +50,14 @@ class DenseSurface:
     shared_times: ImageArray
 
 
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """Heights that are crisp at jumps, smoothed as far as they tell, and what brightness says of their slopes."""
+
+    begun: Begun
+    told: list[Regression]
+
+
 def dense_surface(
     series: TiltSeries,
     reconstruction: Reconstruction,
@@ -75,6 +84,26 @@ def dense_surface(
     DegenerateGeometryError
         When no two views differ enough in tilt.
     """
+    levels = grey_levels(series.views)
+    found = swept(series, reconstruction, options, levels, mapper=mapper, threads=threads)
+    laws = ShadingLaws(levels, found.told) if levels is not None else None
+    return refined(series, reconstruction, options, found, laws, threads=threads)
+
+
+def swept(
+    series: TiltSeries,
+    reconstruction: Reconstruction,
+    options: DenseOptions,
+    levels: GreyLevels | None,
+    core: tuple[slice, slice] | None = None,
+    *,
+    mapper: Mapper = map,
+    threads: Mapper = map,
+) -> Swept:
+    """Compute heights that are crisp at jumps, and what they say about shading in some core of them: the first half.
+
+    The parameters are those of `dense_surface`, which also says what is raised, and of `shading.regressions`.
+    """
     series = without_blank(series)
     frame = rectified_frame(series, reconstruction)
     pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
@@ -88,9 +117,45 @@ def dense_surface(
     height_range = height_range_px(reconstruction, frame)
     heights = list(mapper(partial(_pair_at_zero_tilt, views, height_range, options), pairs))
     fused, _ = fuse(heights, [frame.parallax[j] - frame.parallax[i] for i, j in pairs])
-    del views, heights  # the refinement needs the memory
-    height_map, shared_um2, times = _refined_map(series, reconstruction, frame, fused, threads)
-    return DenseSurface(height_map, tuple(pairs), shared_um2, times)
+    del views, heights  # the sweep needs the memory
+    grid = _grid(series, reconstruction)
+    looked = grid.views(series, reconstruction, _PRESMOOTH_PX)
+    start_px = resample(fused, frame, grid.world_from_grid, series.shape)
+    sharp_px = sharpen_jumps(start_px, looked, mapper=threads)
+    begun = begin(sharp_px, looked.baseline)
+    if levels is None:
+        return Swept(begun, [])
+    return Swept(begun, regressions(np.asarray(begun.height, np.float64), begun.known, looked, levels, core))
+
+
+def refined(
+    series: TiltSeries,
+    reconstruction: Reconstruction,
+    options: DenseOptions,
+    start: Swept,
+    laws: ShadingLaws | None,
+    *,
+    threads: Mapper = map,
+) -> DenseSurface:
+    """Compute the most probable surface from where the first half ended: the second half of `dense_surface`."""
+    series = without_blank(series)
+    grid = _grid(series, reconstruction)
+    looked, calm = (grid.views(series, reconstruction, sigma) for sigma in (_PRESMOOTH_PX, _AGREEMENT_PRESMOOTH_PX))
+    found = refine_by_evidence(start.begun, looked, calm, laws, mapper=threads)
+    heights = without_specks(found, looked.baseline)
+    pixel_size = grid.pixel_size_um
+    height_map = HeightMap(
+        height_um=heights.height * pixel_size,
+        uncertainty_um=heights.uncertainty * pixel_size,
+        n_views=heights.n_views,
+        texture=_texture(series, reconstruction, heights.height, grid.view_from_grid, grid.px_per_height),
+        pixel_size_um=pixel_size,
+        world_from_grid=grid.world_from_grid,
+        length_unit=series.length_unit,
+        lateral_period_um=heights.lateral_period_px * np.float32(pixel_size),
+    )
+    pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
+    return DenseSurface(height_map, tuple(pairs), heights.slow_variance * pixel_size**2, heights.slow_share)
 
 
 def choose_pairs(tilt_rad: FloatArray, max_pairs: int) -> list[tuple[int, int]]:
@@ -138,44 +203,33 @@ def height_range_px(reconstruction: Reconstruction, frame: Frame, *, beyond_poin
     return float(low - margin), float(high + margin)
 
 
-def _refined_map(
-    series: TiltSeries, reconstruction: Reconstruction, frame: Frame, fused_px: FloatArray, threads: Mapper
-) -> tuple[HeightMap, float, ImageArray]:
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """The output's grid in the world and in every view: `px_per_height` (V, 2) is the shift per px of height."""
+
+    pixel_size_um: float
+    world_from_grid: FloatArray
+    view_from_grid: FloatArray
+    px_per_height: FloatArray
+
+    def views(self, series: TiltSeries, reconstruction: Reconstruction, presmooth_px: float) -> Views:
+        direction, parallax = common_parallax(self.px_per_height)
+        samplers = tuple(
+            ViewSampler(view, place, shift, direction, series.shape, presmooth_px)
+            for view, place, shift in zip(series.views, self.view_from_grid, self.px_per_height, strict=True)
+        )
+        return Views(samplers, parallax, reconstruction.reference)
+
+
+def _grid(series: TiltSeries, reconstruction: Reconstruction) -> _Grid:
     pixel_size = grid_pixel_size_um(series, reconstruction)
     rows, columns = series.shape
     world_from_grid = np.diag([pixel_size, -pixel_size, 1.0, 1.0])
     world_from_grid[:2, 3] = -pixel_size * (columns - 1) / 2, pixel_size * (rows - 1) / 2
-    start_px = resample(fused_px, frame, world_from_grid, series.shape)
-
     matrices = camera_matrices(reconstruction.motion)
-    plane_from_grid = world_from_grid[np.ix_([0, 1], [0, 1, 3])]
-    view_from_grid = matrices[:, :, :2] @ plane_from_grid
+    view_from_grid = matrices[:, :, :2] @ world_from_grid[np.ix_([0, 1], [0, 1, 3])]
     view_from_grid[:, :, 2] += reconstruction.motion.translation_px
-    px_per_height = matrices[:, :, 2] * pixel_size
-    direction, parallax = common_parallax(px_per_height)
-
-    def views(presmooth_px: float) -> Views:
-        samplers = tuple(
-            ViewSampler(view, view_from_grid[i], px_per_height[i], direction, series.shape, presmooth_px)
-            for i, view in enumerate(series.views)
-        )
-        return Views(samplers, parallax, reconstruction.reference)
-
-    looked = views(_PRESMOOTH_PX)
-    sharp_px = sharpen_jumps(start_px, looked, mapper=threads)
-    found = refine_by_evidence(sharp_px, looked, views(_AGREEMENT_PRESMOOTH_PX), mapper=threads)
-    refined = without_specks(found, looked.baseline)
-    height_map = HeightMap(
-        height_um=refined.height * pixel_size,
-        uncertainty_um=refined.uncertainty * pixel_size,
-        n_views=refined.n_views,
-        texture=_texture(series, reconstruction, refined.height, view_from_grid, matrices[:, :, 2] * pixel_size),
-        pixel_size_um=pixel_size,
-        world_from_grid=world_from_grid,
-        length_unit=series.length_unit,
-        lateral_period_um=refined.lateral_period_px * np.float32(pixel_size),
-    )
-    return height_map, refined.slow_variance * pixel_size**2, refined.slow_share
+    return _Grid(pixel_size, world_from_grid, view_from_grid, matrices[:, :, 2] * pixel_size)
 
 
 def resample(height_px: FloatArray, frame: Frame, world_from_grid: FloatArray, shape: tuple[int, int]) -> FloatArray:

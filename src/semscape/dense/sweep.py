@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from semscape.dense.consistency import compare_views
 from semscape.dense.given import JUMP_PX, median_of, near_jumps, smoothed, without_spikes
-from semscape.dense.posterior import LatticeTable
+from semscape.dense.posterior import lattice_table
 from semscape.dense.sampling import ViewSampler, gaussian_window
 from semscape.dense.semi_global import least_cost
 from semscape.dense.side_by_side import Mapper
@@ -129,7 +129,7 @@ def sharpen_jumps(start: FloatArray, views: Views, *, mapper: Mapper = map) -> F
 def _without_stairs(height: FloatArray, baseline: float) -> FloatArray:
     """Smooth heights that are whole steps; the pairs' own slopes lead up to a jump where the ground is flat."""
     given = without_spikes(filled_from_nearest(height), JUMP_PX / baseline)
-    return smoothed(given, np.isfinite(height), baseline, LatticeTable()).height
+    return smoothed(given, np.isfinite(height), baseline, lattice_table()).height
 
 
 def _near_jumps(start: FloatArray, baseline: float) -> BoolArray:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from itertools import pairwise, product
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,10 @@ from semscape.dense.reasons import unknown_reasons
 from semscape.dense.rectify import PHASE_PX, grid_pixel_size_um
 from semscape.dense.sampling import common_parallax
 from semscape.dense.seams import Patch, Place, faded, strips_around
+from semscape.dense.shading import GreyLevels, ShadingLaws, grey_levels
 from semscape.dense.side_by_side import Mapper
 from semscape.dense.specimen import with_specimen
-from semscape.dense.surface import DenseSurface, choose_pairs, dense_surface
+from semscape.dense.surface import DenseSurface, Swept, choose_pairs, dense_surface, refined, swept
 from semscape.geometry.cameras import camera_matrices
 from semscape.options import DenseOptions
 from semscape.types import FloatArray, HeightMap, ImageArray, Reconstruction, TiltSeries
@@ -93,7 +95,7 @@ def surface_in_tiles(
     else:
         places = [(slice(*r), slice(*c)) for r, c in product(pairwise(rows), pairwise(columns))]
         fade_px = min(_FADE_PX, *(int(np.diff(edges).min()) // 2 for edges in (rows, columns)))
-        cores = mapper(partial(_core, options), _cut(series, reconstruction, places, fade_px))
+        cores = _cores(series, options, _cut(series, reconstruction, places, fade_px), mapper)
         height_map, shared_um2, times = _stitched(series, reconstruction, places, fade_px, cores)
         pairs = choose_pairs(reconstruction.motion.tilt_rad, options.max_pairs)
         found = DenseSurface(height_map, tuple(pairs), shared_um2, times)
@@ -241,8 +243,23 @@ def _crop(values: NDArray[Any], corner: NDArray[np.int64], shape: tuple[int, int
     return np.pad(part, padding, mode=beyond)[: shape[0], : shape[1]]
 
 
-def _core(options: DenseOptions, tile: _Tile) -> _Core:
-    surface = dense_surface(tile.series, tile.reconstruction, options)
+def _cores(series: TiltSeries, options: DenseOptions, tiles: list[_Tile], mapper: Mapper) -> Iterable[_Core]:
+    """Return the cores of all tiles, which follow one law of shading: that of the whole field."""
+    levels = grey_levels(series.views)
+    starts = list(mapper(partial(_start_of, options, levels), tiles))
+    laws = None
+    if levels is not None:
+        laws = ShadingLaws(levels, [reduce(add, told) for told in zip(*(start.told for start in starts), strict=True)])
+    return mapper(partial(_core, options, laws), list(zip(tiles, starts, strict=True)))
+
+
+def _start_of(options: DenseOptions, levels: GreyLevels | None, tile: _Tile) -> Swept:
+    return swept(tile.series, tile.reconstruction, options, levels, tile.core)
+
+
+def _core(options: DenseOptions, laws: ShadingLaws | None, started: tuple[_Tile, Swept]) -> _Core:
+    tile, start = started
+    surface = refined(tile.series, tile.reconstruction, options, start, laws)
     found = surface.height_map
     core = tile.core
     planes = (
