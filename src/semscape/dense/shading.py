@@ -33,8 +33,8 @@ _EXPECTED = 1.0
 # A law that explains less than this is none.
 _LEAST_EXPLAINED = 0.05
 _LEAST_SAMPLE = 1000
-_WHOLLY_COVERED = 0.9
-_MOSTLY_COVERED = 0.6
+# Of the windows of both, so much must be seen.
+_HALF_COVERED = 0.5
 # Dark pixels are divided by no less than this share of the median.
 _DARKEST = 0.25
 _MEAN_PX = 1.0
@@ -253,8 +253,8 @@ def _regressed(
 ) -> Regression:
     """Regress the learnt waves of a field (H, W) on those of N functions (H, W)."""
     fine, coarse = _LEARNT_PX
-    near, far = (gaussian_window(seen, sigma) for sigma in _LEARNT_PX)
-    inside = (seen > 0) & (near > _WHOLLY_COVERED) & (far > _MOSTLY_COVERED)
+    near, far = (np.maximum(gaussian_window(seen, sigma), np.float32(0.05)) for sigma in _LEARNT_PX)
+    inside = (seen > 0) & (near > _HALF_COVERED) & (far > _HALF_COVERED)
     if core is not None:
         counted = np.zeros(seen.shape, np.bool_)
         counted[core] = True
@@ -265,7 +265,9 @@ def _regressed(
 
     def waves(values: ImageArray) -> FloatArray:
         known = np.asarray((values - np.median(values[seen > 0])) * seen, np.float32)
-        return np.asarray((gaussian_window(known, fine) - gaussian_window(known, coarse))[inside], np.float64)
+        return np.asarray(
+            (gaussian_window(known, fine) / near - gaussian_window(known, coarse) / far)[inside], np.float64
+        )
 
     told = waves(field)
     design = np.column_stack([waves(each) for each in functions])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from semscape.compiled import njit
 from semscape.dense.sampling import gaussian_window
-from semscape.types import FloatArray, ImageArray
+from semscape.types import BoolArray, FloatArray, ImageArray
 
 Plane = NDArray[np.float32]
 
@@ -26,8 +26,32 @@ _CORRELATED_PX2 = 4 * np.pi * (_FINE_PX**2 + 0.25)
 _LOCAL_PX = 4.0
 _NOISE_PX = 12.0
 _LEAST_VARIANCE = 1e-9
-_WHOLLY_COVERED = 0.9
-_MOSTLY_COVERED = 0.8
+# Of the windows of both Gaussians, so much must be seen.
+_WHOLLY_COVERED, _HALF_COVERED = 0.9, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """The band of wavelengths that count, of what is seen of a field: one over the shares (H / 2, W / 2) of that."""
+
+    fine: Plane
+    coarse: Plane
+
+    def of(self, values: Plane) -> Plane:
+        """Return the difference of two Gaussian means of values, 0 where nothing is seen."""
+        return np.asarray(self.fine * _blurred(values, _FINE_PX) - self.coarse * _blurred(values, _COARSE_PX))
+
+    def transposed(self, values: Plane) -> Plane:
+        """Return the transpose of `of`."""
+        return np.asarray(_blurred(self.fine * values, _FINE_PX) - _blurred(self.coarse * values, _COARSE_PX))
+
+
+def band_of(seen: Plane) -> tuple[Band, BoolArray]:
+    """Return the band where so much (H / 2, W / 2) is seen, and where enough is seen for it."""
+    fine, coarse = (_blurred(seen, sigma) for sigma in (_FINE_PX, _COARSE_PX))
+    enough = (seen == 1) & (fine > _WHOLLY_COVERED) & (coarse > _HALF_COVERED)
+    one_over = (1 / np.maximum(share, np.float32(_HALF_COVERED / 2)) for share in (fine, coarse))
+    return Band(*(np.asarray(each, np.float32) for each in one_over)), enough
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +59,8 @@ class SlopeTerm:
     """How a field that is left over changes with heights (H, W), and how sure it is, on pixels of twice the size.
 
     `by_height`, `by_column` and `by_row` (H, W) are what it changes by per px of height and per unit of slope along
-    columns' and rows' numbers; `precision` (H / 2, W / 2) is that of the banded field per pixel there, and `left` the
-    banded field itself.
+    columns' and rows' numbers, 0 where it is not seen; `precision` (H / 2, W / 2) is that of the banded field per pixel
+    there, `left` the banded field itself, and `band` how it is banded.
     """
 
     by_height: Plane
@@ -44,10 +68,11 @@ class SlopeTerm:
     by_row: Plane
     precision: Plane
     left: Plane
+    band: Band
 
     def product(self, change: Plane) -> Plane:
         """Return A' P A x for a change x (H, W) of the heights."""
-        return self._back(self.precision * banded(self._gathered(change)))
+        return self._back(self.precision * self.band.of(self._gathered(change)))
 
     def pull(self) -> Plane:
         """Return -A' P times what is left: how hard it pulls the heights (H, W)."""
@@ -73,7 +98,7 @@ class SlopeTerm:
 
     def _back(self, values: Plane) -> Plane:
         out = np.zeros(self.by_height.shape, np.float32)
-        _explain_transposed(banded(values), self.by_height, self.by_column, self.by_row, out)
+        _explain_transposed(self.band.transposed(values), self.by_height, self.by_column, self.by_row, out)
         return out
 
 
@@ -96,26 +121,23 @@ def slope_term(
     least_variance : (H / 2, W / 2) float32 array
         Below it no variance is believed.
     """
-    weight = halved(seen)
+    # At the border there is no slope.
+    seen = np.pad(seen[1:-1, 1:-1], 1)
+    band, inside = band_of(halved(seen))
     middle = np.median(field[seen > 0])
-    left = banded(halved(np.asarray((field - middle) * seen, np.float32)))
-    # Near what is not seen the band holds the border.
-    whole = gaussian_window(weight, _FINE_PX / 2) > _WHOLLY_COVERED
-    inside = (weight == 1) & whole & (gaussian_window(weight, _COARSE_PX / 2) > _MOSTLY_COVERED)
+    left = band.of(halved(np.asarray((field - middle) * seen, np.float32)))
     counted = inside.astype(np.float32)
     share = np.maximum(gaussian_window(counted, _NOISE_PX / 2), np.float32(1e-2))
     variance = np.maximum(gaussian_window(left * left * counted, _NOISE_PX / 2) / share, np.float32(_LEAST_VARIANCE))
     believed = variance if least_variance is None else np.maximum(variance, least_variance)
     precision = np.asarray(counted * np.float32(4 / _CORRELATED_PX2) / believed, np.float32)
     height, column, row = (np.asarray(plane * seen, np.float32) for plane in (by_height, by_column, by_row))
-    return SlopeTerm(height, column, row, precision, left), variance
+    return SlopeTerm(height, column, row, precision, left, band), variance
 
 
-def banded(values: Plane) -> Plane:
-    """Return values on pixels of twice the size in the band of wavelengths that count; symmetric."""
-    coarse = cv2.GaussianBlur(values, (0, 0), _COARSE_PX / 2, borderType=cv2.BORDER_CONSTANT)
-    fine = cv2.GaussianBlur(values, (0, 0), _FINE_PX / 2, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(fine - coarse, np.float32)
+def _blurred(values: Plane, sigma_px: float) -> Plane:
+    blurred: Plane = cv2.GaussianBlur(values, (0, 0), sigma_px / 2, borderType=cv2.BORDER_CONSTANT)
+    return blurred
 
 
 def halved(values: ImageArray) -> Plane:
