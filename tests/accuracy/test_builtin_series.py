@@ -57,4 +57,3 @@ def test_the_lateral_resolution_is_the_stated_one(built_in: tuple[Result, Simula
     figures = transmission_figures(result.height_map, result.height_map.height_um - error.error_um)
     assert 0.75 < figures["stated_period_px"] / figures["true_period_px"] < 1.25
     assert 8 < figures["true_period_px"] < 30
-

@@ -34,7 +34,7 @@ _EXPECTED = 1.0
 _LEAST_EXPLAINED = 0.05
 _LEAST_SAMPLE = 1000
 # Of the windows of both, so much must be seen.
-_HALF_COVERED = 0.5
+_LEAST_COVERED = 0.25
 # Dark pixels are divided by no less than this share of the median.
 _DARKEST = 0.25
 _MEAN_PX = 1.0
@@ -254,7 +254,7 @@ def _regressed(
     """Regress the learnt waves of a field (H, W) on those of N functions (H, W)."""
     fine, coarse = _LEARNT_PX
     near, far = (np.maximum(gaussian_window(seen, sigma), np.float32(0.05)) for sigma in _LEARNT_PX)
-    inside = (seen > 0) & (near > _HALF_COVERED) & (far > _HALF_COVERED)
+    inside = (seen > 0) & (near > _LEAST_COVERED) & (far > _LEAST_COVERED)
     if core is not None:
         counted = np.zeros(seen.shape, np.bool_)
         counted[core] = True
@@ -265,9 +265,9 @@ def _regressed(
 
     def waves(values: ImageArray) -> FloatArray:
         known = np.asarray((values - np.median(values[seen > 0])) * seen, np.float32)
-        return np.asarray(
-            (gaussian_window(known, fine) / near - gaussian_window(known, coarse) / far)[inside], np.float64
-        )
+        wave = gaussian_window(known, fine) / near - gaussian_window(known, coarse) / far
+        # Where little is seen the band is a bad one, and counts less.
+        return np.asarray((wave * far)[inside], np.float64)
 
     told = waves(field)
     design = np.column_stack([waves(each) for each in functions])
