@@ -194,7 +194,8 @@ class DenseOptions(_Stage):
     """Dense surface: how many pairs to match, the census window, SGM penalties and the acceptance limits.
 
     Fields whose sides are longer than 4/3 `tile_px` are computed in tiles with overlap, so that memory does not grow
-    with them; 0 is one piece. `keep` is "all" or "specimen": without what lies on the background stub.
+    with them; 0 is one piece. `keep` is "all" or "specimen": without what lies on the background stub. `shading` lets
+    brightness tell fine slopes, as far as the series itself shows that it does.
     """
 
     max_pairs: int = 4
@@ -205,6 +206,7 @@ class DenseOptions(_Stage):
     mesh_max_vertices: int = 400_000
     tile_px: int = 768
     keep: str = "all"
+    shading: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -201,3 +201,13 @@ def test_a_field_as_large_as_a_tile_with_its_overlap_is_one_piece(
     with pytest.raises(KeyboardInterrupt):
         surface_in_tiles(*calibrated(), DenseOptions(tile_px=tile_px), mapper=mapper)
     assert len(cut) == tiles
+
+
+def test_shading_can_be_left_out() -> None:
+    heard, unheard = (
+        surface_in_tiles(*calibrated(), DenseOptions(tile_px=0, shading=shading)).height_map.height_um
+        for shading in (True, False)
+    )
+    both = np.isfinite(heard) & np.isfinite(unheard)
+    apart = np.abs(heard - unheard)[both] / OPTIONS.pixel_size_um
+    assert 0.01 < np.median(apart) < 1

@@ -84,7 +84,7 @@ def dense_surface(
     DegenerateGeometryError
         When no two views differ enough in tilt.
     """
-    levels = grey_levels(series.views)
+    levels = grey_levels(series.views) if options.shading else None
     found = swept(series, reconstruction, options, levels, mapper=mapper, threads=threads)
     laws = ShadingLaws(levels, found.told) if levels is not None else None
     return refined(series, reconstruction, options, found, laws, threads=threads)

@@ -245,7 +245,7 @@ def _crop(values: NDArray[Any], corner: NDArray[np.int64], shape: tuple[int, int
 
 def _cores(series: TiltSeries, options: DenseOptions, tiles: list[_Tile], mapper: Mapper) -> Iterable[_Core]:
     """Return the cores of all tiles, which follow one law of shading: that of the whole field."""
-    levels = grey_levels(series.views)
+    levels = grey_levels(series.views) if options.shading else None
     starts = list(mapper(partial(_start_of, options, levels), tiles))
     laws = None
     if levels is not None:

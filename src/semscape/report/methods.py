@@ -44,11 +44,12 @@ def methods(options: Mapping[str, Mapping[str, Any]]) -> tuple[Method, ...]:
         ("Surface", "census transform", "Zabih & Woodfill 1994", "10.1007/BFb0028345"),
         ("Surface", "semi-global matching", "Hirschmüller 2008", "10.1109/TPAMI.2007.1166"),
         ("Surface", "refinement over all views", "Furukawa & Ponce 2010", "10.1109/TPAMI.2009.161"),
+        ("Surface", "the most probable surface", "MacKay 1992", "10.1162/neco.1992.4.3.415"),
     ]  # fmt: skip
     if sfm.get("camera") == "auto":
         found.append(("Calibration", "choice of the camera model", "Schwarz 1978", "10.1214/aos/1176344136"))
-    if dense.get("evidence"):
-        found.append(("Surface", "the most probable surface", "MacKay 1992", "10.1162/neco.1992.4.3.415"))
+    if dense.get("shading"):
+        found.append(("Surface", "stereoscopy and shading together", "Beil & Carlsen 1991", "10.1007/BF01815304"))
     found.append(("Pictures", "shaded relief", "Horn 1981", "10.1109/PROC.1981.11918"))
     order = ["Keypoints", "Matching", "Calibration", "Surface", "Pictures"]
     return tuple(sorted(found, key=lambda method: order.index(method[0])))
