@@ -100,7 +100,7 @@ class LatticeTable:
     True
     >>> bool(abs(table.spread(np.array(1e7)) * 1e7 - 1) < 0.01)
     True
-    >>> bool(table.spread(np.array(1e-3), np.array(1.0)) < 0.5 * table.spread(np.array(1e-3)))
+    >>> bool(table.spread(np.array(1e-3), np.array(10.0)) < 0.5 * table.spread(np.array(1e-3)))
     True
     """
 
