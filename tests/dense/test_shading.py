@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy import ndimage
+from threadpoolctl import threadpool_limits
 
 from semscape.dense.sampling import ViewSampler
 from semscape.dense.shading import (
@@ -89,6 +90,18 @@ def test_regressions_of_parts_add_up() -> None:
         assert both.count == one.count
         assert both.square == pytest.approx(one.square)
         assert both.answer == pytest.approx(one.answer)
+
+
+def test_sums_do_not_depend_on_threads() -> None:
+    views = seen()
+    by_threads = []
+    for count in (1, 2):
+        with threadpool_limits(count):
+            by_threads.append(regressions(surface(), ALL, views, levels(views)))
+    for one, other in zip(*by_threads, strict=True):
+        assert one.square.tobytes() == other.square.tobytes()
+        assert one.answer.tobytes() == other.answer.tobytes()
+        assert one.power == other.power
 
 
 def test_texture_alone_is_no_law() -> None:

@@ -36,6 +36,8 @@ _TOLERANCE = 1e-4
 _STEPS, _LEVELS = 30, 5
 _LATTICE = 32
 _FREQUENCY = np.pi * (np.arange(_LATTICE) + 0.5) / _LATTICE
+# Of waves along the diagonal, rad per px along rows and columns.
+_WAVES, _WAVE_COUNT = (0.01, np.pi), 300
 _LOG_X, _LOG_Y, _LOG_STEP = (-12.0, 18.0), (-14.0, 16.0), 0.5
 
 
@@ -145,14 +147,18 @@ class LatticeTable:
         log_x, log_y = (np.arange(start, stop + _LOG_STEP / 2, _LOG_STEP) for start, stop in (_LOG_X, _LOG_Y))
         told = response(_FREQUENCY)
         tables = np.empty((3, len(log_x), len(log_y)))
-        # Along the diagonal, which holds the finest waves.
-        period = np.sqrt(2) * np.pi / _FREQUENCY
+        # Waves along the diagonal, the finest of them included.
+        frequency = np.geomspace(*_WAVES, _WAVE_COUNT)
+        period = np.sqrt(2) * np.pi / frequency
+        told_of_waves = np.diagonal(response(frequency))
+        squared_of_waves = (4 - 4 * np.cos(frequency)) ** 2
         for i, x in enumerate(np.exp(log_x)):
             data = x + np.exp(log_y)[:, None, None] * told
             open_share = 1 / (data + self._squared)
             tables[0, i] = np.log((self._ratio * data * open_share).mean(axis=(1, 2)))
             tables[1, i] = np.log(open_share.mean(axis=(1, 2)))
-            passing = np.diagonal(data * open_share, axis1=1, axis2=2)
+            weight = x + np.exp(log_y)[:, None] * told_of_waves
+            passing = weight / (weight + squared_of_waves)
             tables[2, i] = [np.log(_finest_passing(share, period)) for share in passing]
         return tables
 

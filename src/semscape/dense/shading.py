@@ -55,13 +55,15 @@ class GreyLevels:
 class _Brightness:
     """What all views together show through one height map, (H, W) each, where `seen` is 1.
 
-    `mean` is the mean brightness over its median; `change` is by how much of itself it changes per unit of parallax,
-    and `by_height` what that changes by per px of height. `divisor` is the mean, smooth and not too dark, `contrast`
-    the mean beside its median over it; `grey` (V,) by how many grey levels a view shows a unit of change differently.
+    `mean` is the mean brightness over its median, and `mean_by_height` what that changes by per px of height; `change`
+    is by how much of itself it changes per unit of parallax, and `by_height` what that changes by per px of height.
+    `divisor` is the mean, smooth and not too dark, `contrast` the mean beside its median over it; `grey` (V,) by how
+    many grey levels a view shows a unit of change differently.
     """
 
     seen: ImageArray
     mean: ImageArray
+    mean_by_height: ImageArray
     change: ImageArray
     by_height: ImageArray
     divisor: ImageArray
@@ -128,9 +130,16 @@ def regressions(
         In px, as smooth as they are known.
     known : (H, W) bool array
     views : Views
+        What is seen at these heights.
     levels : GreyLevels
+        Of the series' views, by which they are made alike.
     core : two slices
         What of the field counts; all where left out.
+
+    Returns
+    -------
+    list of two Regressions
+        Of the mean brightness and of its change.
     """
     free = np.asarray(known & ~near_jumps(height, JUMP_PX / views.baseline, _JUMP_REACH_PX), np.float32)
     looks = [sampler.sample(height) for sampler in views.samplers]
@@ -144,7 +153,15 @@ def regressions(
 
 
 class ShadingLaws:
-    """How the brightness of a series, and its change with tilt, follow the normals of its surface."""
+    """How the brightness of a series, and its change with tilt, follow the normals of its surface.
+
+    Parameters
+    ----------
+    levels : GreyLevels
+        Of the series' views.
+    told : two Regressions
+        Those of the mean brightness and of its change, as `regressions` returns them; of tiles, their sums.
+    """
 
     def __init__(self, levels: GreyLevels, told: Sequence[Regression]) -> None:
         self._levels = levels
@@ -159,13 +176,14 @@ class ShadingLaws:
         ----------
         looks : sequence of V looks
         parallax : (V,) float array
+            Of the views, px per px of height.
         free : (H, W) float32 array
             1 where heights may follow brightness.
         height : (H, W) float array
         texture : Texture
             As heights come to follow brightness, less of it is left unexplained than the law explains: what the mean
-            brightness holds besides is taken no smaller than at first. What it changes by is noisier at first, for
-            there shading has passed for heights.
+            brightness holds besides is kept here, and taken no smaller than at first. What it changes by is noisier at
+            first, for there shading has passed for heights.
         """
         if self._of_mean is None and self._of_change is None:
             return [], list(looks)
@@ -176,8 +194,8 @@ class ShadingLaws:
         terms = []
         if self._of_mean is not None:
             value, by_column, by_row = _expected(self._of_mean, normals)
-            still = np.zeros_like(value)
-            term, variance = slope_term(shown.mean - value, shown.seen, still, -by_column, -by_row, texture.variance)
+            slopes = shown.mean_by_height, -by_column, -by_row
+            term, variance = slope_term(shown.mean - value, shown.seen, *slopes, texture.variance)
             texture.variance = variance if texture.variance is None else texture.variance
             terms.append(term)
         if self._of_change is None:
@@ -205,17 +223,18 @@ def _brightness(looks: Sequence[Look], parallax: FloatArray, free: ImageArray, l
     median = float(levels.medians.mean())
     gains = levels.spreads.mean() / levels.spreads
     levers = parallax - parallax.mean()
-    mean, change, by_height = (np.zeros(seen.shape, np.float32) for _ in range(3))
-    for (value, slope, _), own, gain, lever in zip(looks, levels.medians, gains, levers, strict=True):
+    mean, moved, change, by_height = (np.zeros(seen.shape, np.float32) for _ in range(4))
+    for (value, slope, _), own, gain, lever, shift in zip(looks, levels.medians, gains, levers, parallax, strict=True):
         alike = (value - np.float32(own)) * np.float32(gain / median)
         mean += alike / np.float32(len(looks))
         change += alike * np.float32(lever / (levers @ levers))
+        moved += slope * np.float32(shift * gain / median / len(looks))
         by_height += slope * np.float32(gain / median / len(looks))
     mean = np.asarray(mean + np.float32(1), np.float32)
     share = np.maximum(gaussian_window(seen, _MEAN_PX), np.float32(0.05))
     divisor = np.maximum(gaussian_window(mean * seen, _MEAN_PX) / share, np.float32(_DARKEST))
     change, by_height, contrast = (np.asarray(each / divisor, np.float32) for each in (change, by_height, mean - 1))
-    return _Brightness(seen, mean, change, by_height, divisor, contrast, levers * median / gains)
+    return _Brightness(seen, mean, moved, change, by_height, divisor, contrast, levers * median / gains)
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,6 +288,7 @@ def _regressed(
         # Where little is seen the band is a bad one, and counts less.
         return np.asarray((wave * far)[inside], np.float64)
 
-    told = waves(field)
-    design = np.column_stack([waves(each) for each in functions])
-    return Regression(design.T @ design, design.T @ told, float(told @ told), float(len(told)))
+    samples = np.column_stack([*(waves(each) for each in functions), waves(field)])
+    # In one order: threads of a matrix product would sum in theirs.
+    sums = np.einsum("ni,nj->ij", samples, samples)
+    return Regression(sums[:-1, :-1], sums[:-1, -1], float(sums[-1, -1]), float(len(samples)))

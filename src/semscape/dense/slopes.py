@@ -124,7 +124,7 @@ def slope_term(
     # At the border there is no slope.
     seen = np.pad(seen[1:-1, 1:-1], 1)
     band, inside = band_of(halved(seen))
-    middle = np.median(field[seen > 0])
+    middle = np.median(field[seen > 0]) if seen.any() else 0.0
     left = band.of(halved(np.asarray((field - middle) * seen, np.float32)))
     counted = inside.astype(np.float32)
     share = np.maximum(gaussian_window(counted, _NOISE_PX / 2), np.float32(1e-2))

@@ -84,7 +84,7 @@ def dense_surface(
     DegenerateGeometryError
         When no two views differ enough in tilt.
     """
-    levels = grey_levels(series.views) if options.shading else None
+    levels = grey_levels(without_blank(series).views) if options.shading else None
     found = swept(series, reconstruction, options, levels, mapper=mapper, threads=threads)
     laws = ShadingLaws(levels, found.told) if levels is not None else None
     return refined(series, reconstruction, options, found, laws, threads=threads)
@@ -137,7 +137,10 @@ def refined(
     *,
     threads: Mapper = map,
 ) -> DenseSurface:
-    """Compute the most probable surface from where the first half ended: the second half of `dense_surface`."""
+    """Compute the most probable surface from where the first half ended: the second half of `dense_surface`.
+
+    `start` is what `swept` returned, `laws` those of the whole field; without them shading is not asked.
+    """
     series = without_blank(series)
     grid = _grid(series, reconstruction)
     looked, calm = (grid.views(series, reconstruction, sigma) for sigma in (_PRESMOOTH_PX, _AGREEMENT_PRESMOOTH_PX))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from semscape.dense.blank import without_blank
 from semscape.dense.evidence import without_islands
 from semscape.dense.parallel import as_parallel
 from semscape.dense.reasons import unknown_reasons
@@ -245,12 +246,16 @@ def _crop(values: NDArray[Any], corner: NDArray[np.int64], shape: tuple[int, int
 
 def _cores(series: TiltSeries, options: DenseOptions, tiles: list[_Tile], mapper: Mapper) -> Iterable[_Core]:
     """Return the cores of all tiles, which follow one law of shading: that of the whole field."""
-    levels = grey_levels(series.views) if options.shading else None
+    levels = grey_levels(without_blank(series).views) if options.shading else None
+    if levels is None:
+        return mapper(partial(_unshaded_core, options), tiles)
     starts = list(mapper(partial(_start_of, options, levels), tiles))
-    laws = None
-    if levels is not None:
-        laws = ShadingLaws(levels, [reduce(add, told) for told in zip(*(start.told for start in starts), strict=True)])
+    laws = ShadingLaws(levels, [reduce(add, told) for told in zip(*(start.told for start in starts), strict=True)])
     return mapper(partial(_core, options, laws), list(zip(tiles, starts, strict=True)))
+
+
+def _unshaded_core(options: DenseOptions, tile: _Tile) -> _Core:
+    return _core(options, None, (tile, _start_of(options, None, tile)))
 
 
 def _start_of(options: DenseOptions, levels: GreyLevels | None, tile: _Tile) -> Swept:
