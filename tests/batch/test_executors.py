@@ -312,6 +312,7 @@ def test_a_batch_that_is_terminated_goes_on_where_it_was(master_images: Path, tm
         threads = Path(f"/proc/{process.pid}/task").iterdir()
         workers = [int(child) for thread in threads for child in (thread / "children").read_text().split()]
         process.send_signal(signal.SIGTERM)
+        time.sleep(0.2)  # of signals that wait at one time Python hears the interrupt first
         for number in (signal.SIGTERM, signal.SIGINT) * 20:  # by somebody in a hurry, and by SLURM
             time.sleep(0.005)
             process.send_signal(number)
