@@ -180,6 +180,9 @@ def test_a_run_that_is_removed_by_mistake_comes_back(page: Page, workspace: Path
     keep_picture(page, "app-removed", whole=True)
     page.get_by_role("button", name="Restore precious").first.click()
     expect(page.get_by_role("link", name="precious")).to_be_visible()
+    until = time.monotonic() + 10  # the list may know of it before the folder has moved
+    while not (workspace / "precious" / "report.html").is_file() and time.monotonic() < until:
+        time.sleep(0.05)
     assert (workspace / "precious" / "report.html").is_file()
 
 
